@@ -65,7 +65,6 @@ class Limit:
 
 CASE = Limit("a case file", 1)
 PROFILE = Limit("a profile", 1)
-PROJECT = Limit("a file studies.toml", 1)
 RECORDING = Limit("a recording", 64)
 RECORD = Limit("a record", 256)
 FMU = Limit("an FMU", 500)

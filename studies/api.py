@@ -216,9 +216,9 @@ def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[S
     with interrupts_kept():
         check_surroundings()
         code = command_module(command).run(chosen, console)
-    if code:
-        raise StageError(f"studies check {case} found errors; type it, it says which")
     ((study, outcomes),) = console.done
+    if code:
+        raise StageError(f"{study.label}: studies check {case} found errors; type it, it says which")
     return study, outcomes
 
 

@@ -19,6 +19,17 @@ class Column:
     spare: int = 0
 
 
+def number(title: str, unit: str = "", spare: int = 0) -> Column:
+    """Return a column of numbers, whose unit stands in its heading.
+
+    Args:
+        title: heading.
+        unit: unit; "" for none.
+        spare: as a `Column` has it.
+    """
+    return Column(f"{title} [{unit}]" if unit else title, True, spare)
+
+
 @dataclass(frozen=True)
 class Table:
     """A table with a title.

@@ -127,10 +127,8 @@ def _read(source: Path) -> tuple[Series, str]:
             found = read_recording(source / file, names)
             series |= {name: (found.time, found.columns[name]) for name in names}
         return series, str(source)
-    if source.suffix.lower() == ".mat":
+    if not zipfile.is_zipfile(source):
         return _read_matlab(read_limited(source, RECORDING), str(source)), str(source)
-    if source.suffix.lower() != ".fmu":
-        raise InputError(f"{source} is no .mat, .fmu and no folder with {' and '.join(FILES.values())}")
     try:
         with zipfile.ZipFile(io.BytesIO(read_limited(source, FMU))) as archive:
             check_members(archive.infolist(), str(source))
@@ -139,11 +137,10 @@ def _read(source: Path) -> tuple[Series, str]:
                 raise InputError(
                     f"{source} holds no {MATLAB_FILE}; this is not the authors' FMU with the recording"
                 )
-            content = archive.read(inside[0])
+            name = f"{source} ({inside[0]})"
+            return _read_matlab(archive.read(inside[0]), name), name
     except zipfile.BadZipFile:
-        raise InputError(f"{source} is not a zip archive, so not an FMU; download it again") from None
-    name = f"{source} ({inside[0]})"
-    return _read_matlab(content, name), name
+        raise InputError(f"{source} is a damaged archive; download it again") from None
 
 
 def _read_matlab(content: bytes, source: str) -> Series:
@@ -159,7 +156,8 @@ def _read_matlab(content: bytes, source: str) -> Series:
     except Exception as error:
         # scipy raises many kinds of exception for bytes that are no MATLAB file
         raise InputError(
-            f"{source} is not a readable MATLAB file ({type(error).__name__}: {shortened(str(error))})"
+            f"{source} is no MATLAB file, no FMU and no folder with {' and '.join(FILES.values())} "
+            f"({type(error).__name__}: {shortened(str(error))})"
         ) from None
     series = {}
     for signal in SIGNALS:

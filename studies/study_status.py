@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from studies.blocks import number
 from studies.console import Block, Column, Table, format_seconds
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.records_tuning import TunedSize
@@ -38,10 +39,10 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
     names = list(dict.fromkeys(name for one in tuned for name in one.params))
     units = {one.unit for one in tuned}
     alike = [(one.label, one.n_train) for one in tuned]
-    columns = [Column("study"), Column("trials", True), Column("pruned", True, 5), Column("failed", True, 8)]
-    columns += [Column("running", True, 7), *(Column(name, True, 2) for name in names)]
-    columns += [Column("MAE", True), Column("P90", True), Column("PCA+GP", True, 3)]
-    columns += [Column("trials/h", True, 9), Column("to go", True, 4)]
+    columns = [Column("study"), number("trials"), number("pruned", spare=5), number("failed", spare=8)]
+    columns += [number("running", spare=7), *(number(name, spare=2) for name in names)]
+    columns += [number("MAE"), number("P90"), number("PCA+GP", spare=3)]
+    columns += [number("trials/h", spare=9), number("to go", spare=4)]
     rows = [
         [
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
@@ -71,7 +72,7 @@ def _total(tuned: Sequence[TunedSize]) -> str:
 
 
 def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
-    columns = [Column("running"), *(Column(name, True) for name in ("epoch", "MAE val", "since"))]
+    columns = [Column("running"), *(number(name) for name in ("epoch", "MAE val", "since"))]
     rows = [
         [
             f"{study.spec.name} trial {trial.number}",
@@ -86,8 +87,8 @@ def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
 
 def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
     """Return a line per calibration."""
-    columns = [Column("calibration"), Column("final MSE", True), Column("calls (paper)", True)]
-    columns += [Column("calls (all)", True, 2), Column("ended because", spare=3), Column("finished", True, 1)]
+    columns = [Column("calibration"), number("final MSE"), number("calls (paper)")]
+    columns += [number("calls (all)", spare=2), Column("ended because", spare=3), number("finished", spare=1)]
     is_any_changed = any(one.changed_since for one in calibrations)
     columns += [Column("changed since")] * is_any_changed
     rows = []

@@ -15,7 +15,6 @@ import psycopg
 PATIENCE_S = 60.0
 _HBA = """\
 local all all trust
-host all guarded 127.0.0.1/32 scram-sha-256
 host all all 127.0.0.1/32 trust
 """
 _SETTINGS = """\

@@ -95,25 +95,17 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         )
     if chosen.method == "paper" or chosen.n_train:
         return _from_surrogates(chosen, console)
-    from studies.stages.adaptive_stage import adaptive_settings, adaptive_stage
-    from studies.stages.equations_found import are_state_equations_learnt
+    from studies.stages.adaptive_stage import adaptive_stage
     from studies.stages.shown import show_calibrations
 
     study = open_study(chosen, console)
-    state_equations = are_state_equations_learnt(study.case, chosen.state_equations)
-    settings = adaptive_settings(
-        study.case,
-        max_calls=chosen.max_calls,
-        n_parallel=chosen.parallel,
-        target_mse=chosen.target,
-        from_stored=bool(chosen.from_stored),
-        state_equations=state_equations,
-    )
     outcome = adaptive_stage(
         study,
-        settings,
+        max_calls=chosen.max_calls,
+        n_parallel=chosen.parallel or 1,
+        target_mse=chosen.target,
         from_stored=bool(chosen.from_stored),
-        state_equations=state_equations,
+        state_equations=chosen.state_equations,
         again=chosen.again,
     )
     show_calibrations(study, [outcome])

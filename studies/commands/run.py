@@ -49,7 +49,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     diagnosis = checked.result
     if not diagnosis.is_sound:
         show_diagnosis(console, study.label, diagnosis)
-        console.document({"command": "run", "label": study.label, "stages": [checked.to_dict(study.paths)]})
+        document = {"command": "run", "label": study.label, "stages": [checked.to_dict(study.paths)]}
+        console.document(document, of=(study, [checked]))
         return FAILED
     say_warnings(console, diagnosis)
     simulated = simulate_stage(study)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from studies.blocks import Table
-from studies.report.data import ReportData
+from studies.report.data import ReportData, best_of
 from studies.report.drawing import Figure
 from studies.report.figures_calibration import calibration_figure, calls_figure, validation_figure
 from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
@@ -51,7 +51,7 @@ class Section:
 
 def sections_of(data: ReportData) -> list[Section]:
     """Return the parts of the page in their order; what the data does not hold is left out."""
-    best, case, sobol = data.headline, data.case, data.sensitivity
+    best, case, sobol = best_of(data.calibrations), data.case, data.sensitivity
     tuned = tuning_table(data.tuned)
     others = tuple(_calibration(data, one) for one in data.calibrations if one is not best)
     whole = (calibrations_table(case, data.calibrations),) if data.calibrations else ()

@@ -42,11 +42,6 @@ class ReportData:
     uncertainties: tuple[Uncertainty, ...] = ()
     commands: tuple[str, ...] = ()
 
-    @property
-    def headline(self) -> Outcome[Calibration] | None:
-        """The calibration put first: the one of lowest MSE, of equals the cheapest; None without any."""
-        return best_of(self.calibrations)
-
 
 def best_of(calibrations: Calibrations) -> Outcome[Calibration] | None:
     """Return the calibration of lowest MSE, of equals the cheapest; None without any."""

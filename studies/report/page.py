@@ -12,7 +12,7 @@ from typing import Any
 
 from simulation.whole_file import whole_file
 from studies.report.contents import sections_of
-from studies.report.data import ReportData
+from studies.report.data import ReportData, best_of
 from studies.report.sentences import headline
 
 
@@ -33,7 +33,7 @@ def write_page(data: ReportData, file: Path) -> None:
     environment.filters["packed"] = _packed
     program = _library() + files("studies.report").joinpath("charts.js").read_text(encoding="utf-8")
     digest = base64.b64encode(sha256(program.encode()).digest()).decode("ascii")
-    best = data.headline
+    best = best_of(data.calibrations)
     lead = "Nothing has been calibrated yet." if best is None else f"{headline(data.case, best)}."
     text = environment.get_template("page.html").render(
         data=data, lead=lead, sections=sections_of(data), program=Markup(program), digest=digest

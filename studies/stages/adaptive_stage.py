@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from simulation.case import Case
 from simulation.errors import InputError
 from simulation.pool.execution import commonest
 from simulation.store.stored_model import StoredModel
@@ -22,7 +21,12 @@ from studies.physical_model import open_physical_model, open_watched_model, say_
 from studies.provenance import provenance_of
 from studies.report.wording import count, quantity, square_of
 from studies.stages.calibrated_point import calibration_at
-from studies.stages.equations_found import asked_twice, equations_found, learned_ode_of
+from studies.stages.equations_found import (
+    are_state_equations_learnt,
+    asked_twice,
+    equations_found,
+    learned_ode_of,
+)
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
 from studies.stages.stage_results import ADAPTIVE, Calibration
@@ -40,52 +44,14 @@ MOST_AT_FIRST = 8
 NEWS_EVERY_S = 30.0
 
 
-def adaptive_settings(
-    case: Case,
-    *,
-    max_calls: int | None,
-    n_parallel: int | None,
-    target_mse: float | None,
-    from_stored: bool = False,
-    state_equations: bool = False,
-) -> Adaptive:
-    """Return what the command line asks for.
-
-    Args:
-        case: the case to calibrate.
-        max_calls: most simulations, None for the usual number.
-        n_parallel: rows per round, None for one.
-        target_mse: error to stop at, or None. [first output's unit squared]
-        from_stored: whether it starts from what is stored, which may be a first design or most of one.
-        state_equations: whether it learns state equations, from less than a first design.
-
-    Raises:
-        InputError: the budget does not hold the first design.
-    """
-    settings = Adaptive.for_sensor(
-        float(case.measurement.uncertainty[0]),
-        max_calls=MAX_CALLS if max_calls is None else max_calls,
-        n_parallel=n_parallel or 1,
-        target_mse=target_mse,
-    )
-    n_parameters = case.parameter_space.n_parameters
-    n_design = settings.design_size(n_parameters)
-    n_start = min(n_design, LEAST_CALLS) if state_equations else n_design
-    if not from_stored and settings.max_calls < n_start:
-        what = "the first design" if n_start == n_design else "the least"
-        raise InputError(
-            f"--max-calls {settings.max_calls} does not hold {what} of {n_start} simulations for "
-            f"{count(n_parameters, 'parameter')}; give {2 * n_start} or more"
-        )
-    return settings
-
-
 def adaptive_stage(
     study: Study,
-    settings: Adaptive,
     *,
+    max_calls: int | None = None,
+    n_parallel: int = 1,
+    target_mse: float | None = None,
     from_stored: bool = False,
-    state_equations: bool = False,
+    state_equations: bool | None = None,
     again: bool = False,
 ) -> Outcome[Calibration]:
     """Calibrate with the physical model alone.
@@ -95,11 +61,26 @@ def adaptive_stage(
 
     Args:
         study: the study.
-        settings: how to search.
+        max_calls: most simulations, None for the usual number.
+        n_parallel: rows per round.
+        target_mse: error to stop at, or None. [first output's unit squared]
         from_stored: whether to start from the simulations that are stored, whatever they were made for.
-        state_equations: whether to learn the model's state equations from the states that its FMU shows.
+        state_equations: whether to learn the model's state equations from the states that its FMU shows; None
+            does it where it can.
         again: calibrate though it is finished, with what is stored now.
+
+    Raises:
+        InputError: the budget does not hold the first design, or the FMU does not show its states.
     """
+    learns = are_state_equations_learnt(study.case, state_equations)
+    settings = Adaptive.for_sensor(
+        float(study.case.measurement.uncertainty[0]),
+        max_calls=MAX_CALLS if max_calls is None else max_calls,
+        n_parallel=n_parallel,
+        target_mse=target_mse,
+    )
+    if not from_stored:
+        _check_budget(settings, study.case.parameter_space.n_parameters, learns=learns)
     case = study.case
     inputs = {
         **case_inputs(case),
@@ -107,9 +88,9 @@ def adaptive_stage(
         "seed": study.profile.seed,
         **validation_inputs(case),
         **({"from_stored": True} if from_stored else {}),
-        **({"state_equations": True} if state_equations else {}),
+        **({"state_equations": True} if learns else {}),
     }
-    equations = "state equations or " if state_equations else ""
+    equations = "state equations or " if learns else ""
     what = (
         f"{equations}a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most"
     )
@@ -125,9 +106,21 @@ def adaptive_stage(
     if before is not None:
         return before
     with stage.work() as work:
-        found = calibrate_adaptively(study, settings, start, state_equations=state_equations)
+        found = calibrate_adaptively(study, settings, start, state_equations=learns)
         made = provenance_of(study, "adaptive", settings=asdict(settings))
         return work.keep(found, files, provenance=made, log=log_calibration)
+
+
+def _check_budget(settings: Adaptive, n_parameters: int, *, learns: bool) -> None:
+    """Refuse a budget that does not hold the rows that a calibration begins with."""
+    n_design = settings.design_size(n_parameters)
+    n_start = min(n_design, LEAST_CALLS) if learns else n_design
+    if settings.max_calls < n_start:
+        what = "the first design" if n_start == n_design else "the least"
+        raise InputError(
+            f"--max-calls {settings.max_calls} does not hold {what} of {n_start} simulations for "
+            f"{count(n_parameters, 'parameter')}; give {2 * n_start} or more"
+        )
 
 
 def calibrate_adaptively(

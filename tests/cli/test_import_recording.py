@@ -133,9 +133,9 @@ def test_a_wrong_recording_is_refused_and_nothing_written(
     [
         ("data.mat", b"not MATLAB at all" * 20, "MATLAB"),
         ("data.mat", b"", "MATLAB"),
-        ("Office.fmu", b"not a zip", "zip"),
+        ("Office.fmu", b"not a zip", "no FMU"),
         ("data.xlsx", b"", ".xlsx"),
-        ("recording_1800s.csv", b"time_s,TRoom_degC\n0,1\n1800,2\n", "no .mat"),
+        ("recording_1800s.csv", b"time_s,TRoom_degC\n0,1\n1800,2\n", "no MATLAB file"),
     ],
 )
 def test_a_file_of_another_kind_is_refused(

@@ -27,7 +27,7 @@ from records_for_tests import (
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.blocks import Table
-from studies.report.data import ReportData
+from studies.report.data import ReportData, best_of
 from studies.report.figures_model import enclosed_fraction
 from studies.report.page import write_page
 from studies.report.sentences import calibration_sentences, headline
@@ -271,17 +271,17 @@ def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
 
 def test_headline_is_the_lowest_error() -> None:
     low, high = replace(calibration(256), mse=0.0104), replace(calibration(32), mse=0.0121)
-    best = report_data(high, low).headline
+    best = best_of(report_data(high, low).calibrations)
     assert best is not None
     assert best.result is low
     equal = replace(high, mse=0.0104)
-    best = report_data(low, equal).headline
+    best = best_of(report_data(low, equal).calibrations)
     assert best is not None
     assert best.result is equal
 
 
 def test_the_result_is_one_sentence_with_the_numbers_of_the_data() -> None:
-    best = report_data().headline
+    best = best_of(report_data().calibrations)
     assert best is not None
     ended = "it ended because the cost changes by less than ftol"
     assert headline(case(), best) == f"MSE 0.006422 K² after 189 model calls (32 s); {ended}"
@@ -380,8 +380,9 @@ def test_the_page_says_what_became_of_state_equations_and_what_is_left_open(tmp_
 
 def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> None:
     data = small(adaptive(), calibration(64))
-    assert data.headline is not None
-    assert data.headline.result.is_adaptive
+    best = best_of(data.calibrations)
+    assert best is not None
+    assert best.result.is_adaptive
     page = checked(build(data, tmp_path))
     assert "calibration" in page.ids
     table = calibrations_table(data.case, data.calibrations)
