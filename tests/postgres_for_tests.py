@@ -13,10 +13,6 @@ from pathlib import Path
 import psycopg
 
 PATIENCE_S = 60.0
-_HBA = """\
-local all all trust
-host all all 127.0.0.1/32 trust
-"""
 _SETTINGS = """\
 listen_addresses = '127.0.0.1'
 fsync = off
@@ -42,10 +38,8 @@ class PostgresServer:
     def __init__(self) -> None:
         programs = _programs()
         assert programs is not None
-        self._programs = programs
         self.folder = Path(tempfile.mkdtemp(prefix="studies-postgres-"))
         self.port = _free_port()
-        self._server: subprocess.Popen[bytes] | None = None
         self._n_databases = 0
         if os.geteuid() == 0:
             shutil.chown(self.folder, "postgres", "postgres")
@@ -54,17 +48,15 @@ class PostgresServer:
         subprocess.run(
             [*_as_postgres(), *initdb, "-A", "trust", "-N", "--locale=C"], check=True, capture_output=True
         )
-        (data / "pg_hba.conf").write_text(_HBA)
         with (data / "postgresql.conf").open("a") as file:
             file.write(f"{_SETTINGS}port = {self.port}\nunix_socket_directories = '{self.folder}'\n")
-        self.start()
-
-    def start(self) -> None:
-        """Start the server, which dies with the thread that calls this, and wait until it answers."""
-        log = (self.folder / "log").open("ab")
-        command = [*_as_postgres(), str(self._programs / "postgres"), "-D", str(self.folder / "data")]
-        self._server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
-        log.close()
+        with (self.folder / "log").open("ab") as log:
+            self._server = subprocess.Popen(
+                [*_as_postgres(), str(programs / "postgres"), "-D", str(data)],
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
         deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
@@ -75,21 +67,15 @@ class PostgresServer:
                     raise AssertionError((self.folder / "log").read_text()) from None
                 time.sleep(0.02)
 
-    def stop(self) -> None:
-        """Stop the server at once, as a crash does; the cluster stays."""
-        if self._server is not None:
-            self._server.send_signal(signal.SIGQUIT)
-            self._server.wait(PATIENCE_S)
-            self._server = None
-
     def close(self) -> None:
-        """Stop the server and remove the cluster."""
-        self.stop()
+        """Stop the server at once, as a crash does, and remove the cluster."""
+        self._server.send_signal(signal.SIGQUIT)
+        self._server.wait(PATIENCE_S)
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def url(self, database: str, user: str = "tester") -> str:
+    def url(self, database: str) -> str:
         """Return the URL of a database."""
-        return f"postgresql://{user}@127.0.0.1:{self.port}/{database}"
+        return f"postgresql://tester@127.0.0.1:{self.port}/{database}"
 
     def new_database(self) -> str:
         """Make an empty database and return its URL."""

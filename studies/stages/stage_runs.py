@@ -115,7 +115,7 @@ def log_prediction(work: Work[Prediction], outcome: Outcome[Prediction]) -> None
         params={"inputs": found.inputs},
         metrics={"sample/n": found.n_sample},
         tags={"calibration": found.calibration},
-        figures=[table.with_suffix(".png")],
+        images=[table.with_suffix(".png")],
         artifacts=[table],
     )
 
@@ -134,6 +134,7 @@ def _log(
     metrics: Mapping[str, float | None] | None = None,
     tags: Mapping[str, Any] | None = None,
     artifacts: Sequence[Path] = (),
+    images: Sequence[Path] = (),
     pictures: Mapping[str, Figure] | None = None,
     **more: Any,
 ) -> None:
@@ -143,7 +144,7 @@ def _log(
     finite = {k: v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        figures = [
+        drawn = [
             write_png(figure, Path(scratch) / f"{picture}.png", footnote=study.label)
             for picture, figure in (pictures or {}).items()
         ]
@@ -155,7 +156,7 @@ def _log(
             metrics=finite,
             tags=about,
             artifacts=[*artifacts, *([arrays] if arrays.is_file() else [])],
-            figures=figures,
+            figures=[*images, *drawn],
             started_s=work.started_s,
             wall_s=outcome.wall_s,
             note=study.case.note,

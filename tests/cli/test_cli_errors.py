@@ -27,11 +27,6 @@ n_trials = 2
 """
 
 
-def searching(declared: str) -> str:
-    """Return the number of trials and a search space, as a profile has them."""
-    return f"n_trials = 2\n[tuning.search]\n{declared}"
-
-
 def assert_refused(answer: Answer, *fragments: str) -> None:
     """Check that an answer is one clear line that names what is wrong."""
     assert answer.code == 2, answer.err
@@ -139,34 +134,20 @@ def test_wrong_options_are_refused(
     assert files_of(project) == before
 
 
+# What a search space can have wrong: tests/tuning/test_search_space.py.
 @pytest.mark.parametrize(
     ("old", "new", "fragments"),
     [
         pytest.param("n_trials = 2", "n_trails = 2", ["n_trails"], id="unknown-key"),
         pytest.param("[16, 32]", "[32, 16]", ["n_train", "ascending"], id="sizes-descending"),
         pytest.param(
-            "n_trials = 2", searching("n_latent = [4, 8]"), ["tuning.search.n_latent"], id="search-no-table"
-        ),
-        pytest.param(
             "n_trials = 2",
-            searching('n_latent = { kind = "int", low = 0, high = 4 }'),
-            ["search.n_latent", "n_latent = 0 must be at least 1"],
-            id="search-impossible",
-        ),
-        pytest.param(
-            "n_trials = 2",
-            searching('n_scales = { kind = "int", low = 1, high = 4 }'),
-            ["search.n_scales has no effect", "n_hidden"],
-            id="search-of-another-surrogate",
+            "n_trials = 2\n[tuning.search]\nn_latent = [4, 8]",
+            ["tuning.search.n_latent"],
+            id="search-no-table",
         ),
         pytest.param(
             "n_trials = 2", 'n_trials = 2\nsampler = "TPESampler"', ["tuning.sampler"], id="sampler-no-table"
-        ),
-        pytest.param(
-            "n_trials = 2",
-            "n_trials = 2\nenqueue = [{ beta = 0.5 }]",
-            ["enqueue[0].beta = 0.5 is no value of search.beta"],
-            id="enqueued-outside",
         ),
         pytest.param("[data]", "[data", ["small.toml"], id="no-toml"),
         pytest.param(

@@ -7,7 +7,7 @@ from project_for_tests import make_project
 
 from simulation.errors import InputError
 from studies.commands.values import window
-from studies.paths import ProjectPaths, find_case, find_project
+from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile, profile_names
 
 
@@ -38,19 +38,6 @@ def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
 def test_a_window_keeps_all_its_digits_and_can_be_typed_again(text: str, label: str) -> None:
     asked = window(text)
     assert (asked.label, str(asked), window(str(asked))) == (label, text, asked)
-
-
-def test_the_project_is_found_from_below_and_from_a_named_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root = make_project(tmp_path / "project")
-    monkeypatch.delenv("STUDIES_ROOT", raising=False)
-    monkeypatch.chdir(root / "fmus" / "office")
-    assert find_project(None).root == root
-    monkeypatch.chdir(tmp_path)
-    assert find_project(None).root == tmp_path
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
-    assert find_project(None).root == root
 
 
 def test_cases_are_found_by_folder_name_and_by_file_name(tmp_path: Path) -> None:
