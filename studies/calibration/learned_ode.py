@@ -47,8 +47,8 @@ MATCHED, BELIEVED, N_MATCHED = 1e-3, 2e-2, 16
 CLEARLY = 0.8
 # Range of a state that hardly moves, as a share of its size.
 AT_REST = 1e-6
-# Parts of the time that walks of equations with switches fit first, one after the other: of 24 such
-# searches on two thermostats all ended at the least error (docs/notes/state-equations.md, Switches).
+# Parts of the time that walks of equations with switches fit first, one after the other.
+# Of 16 such searches all ended at the least error (docs/notes/state-equations.md, Switches).
 PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 
 # Rows after which equations are taken though some coefficient is no formula, by parameter and at least.
