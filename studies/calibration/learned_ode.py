@@ -194,10 +194,10 @@ class LearnedODE:
         looks = rng.random((max(N_LOOKS, n), len(u)))
         with np.errstate(all="ignore"):
             least, greatest = self._equations.reach(Points.of(self._problem.space, looks))
-        seen = self._all_rows(self._signals).x.reshape(-1, self.n_states)
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        seen = self._all_rows(self._signals).x
+        low, high = seen.min(axis=(0, 1)), seen.max(axis=(0, 1))
         # Of a state at rest rounding is no reach.
-        span = np.maximum(high - low, AT_REST * np.abs(seen).max(axis=0) + np.finfo(float).tiny)
+        span = np.maximum(high - low, AT_REST * np.abs(seen).max(axis=(0, 1)) + np.finfo(float).tiny)
         beyond = np.concatenate([low - least, greatest - high], axis=1) / np.tile(span, 2)
         beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
         # By turns the farthest of every state in either direction, those first that go farthest.
@@ -218,8 +218,8 @@ class LearnedODE:
 
     @property
     def n_states(self) -> int:
-        """States whose equations it learns."""
-        return len(self._signals.states)
+        """States whose equations it learns, without positions of switches."""
+        return len(self._signals.states) - self._signals.n_switches
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
