@@ -1,4 +1,4 @@
-"""Sums of terms, solved by the classical Runge-Kutta method in compiled steps, one point after the other."""
+"""Sums of terms and changes of switches, solved by the Runge-Kutta method in compiled steps, one by one."""
 
 from typing import Final
 
@@ -17,6 +17,10 @@ NUMBERS: Final = {
     "sine": 5,
     "cosine": 6,
 }
+# Changes within a step beyond which a switch never comes to rest, and guesses at the time of one.
+MOST_CHANGES, MOST_GUESSES = 100, 60
+# A change is found to this part of a step. Rounding.
+SAME_TIME = 1e-9
 
 
 @compiled
@@ -56,6 +60,61 @@ def _slope(
 
 
 @compiled
+def _advance(
+    x: FloatArray,
+    h: float,
+    columns: FloatArray,
+    coefficients: FloatArray,
+    ends: IntArray,
+    places: IntArray,
+    slope: FloatArray,
+    total: FloatArray,
+) -> None:
+    """Move the states on by one classical Runge-Kutta step of length h; see `steps`."""
+    n_states = x.size
+    columns[:n_states] = x
+    _slope(columns, coefficients, ends, places, slope)
+    total[:] = slope
+    # Four slopes, at the start, twice at half a step and at its end, count 1, 2, 2, 1 sixths.
+    for weight, reach in ((2.0, 0.5), (2.0, 0.5), (1.0, 1.0)):
+        for state in range(n_states):
+            columns[state] = x[state] + reach * h * slope[state]
+        _slope(columns, coefficients, ends, places, slope)
+        for state in range(n_states):
+            total[state] += weight * slope[state]
+    for state in range(n_states):
+        x[state] += h / 6.0 * total[state]
+    columns[:n_states] = x
+
+
+@compiled
+def _nearest_change(
+    columns: FloatArray, since: FloatArray, rules: IntArray, limits: FloatArray
+) -> tuple[int, float]:
+    """Return the rule that is nearest to a change of its switch, and by how much it is beyond that.
+
+    Args:
+        columns: States, inputs, 1 and 0. Shape (s + q + 2,).
+        since: Time since each state changed, if it is a switch. Shape (s,). [s]
+        rules: See `steps`. Shape (r, 5).
+        limits: Thresholds of the rules and then shortest times between changes. Shape (2 r,).
+    """
+    nearest, most = 0, -np.inf
+    for rule in range(rules.shape[0]):
+        switch = rules[rule, 0]
+        if columns[switch] != rules[rule, 1]:
+            continue
+        shown = columns[rules[rule, 2]] - columns[rules[rule, 3]]
+        beyond = rules[rule, 4] * (shown - limits[rule])
+        shortest = limits[rules.shape[0] + rule]
+        if shortest > 0.0:
+            beyond = min(beyond, since[switch] - shortest)
+        if beyond > most:
+            nearest, most = rule, beyond
+    return nearest, most
+
+
+@compiled
 def steps(
     start: FloatArray,
     coefficients: FloatArray,
@@ -65,12 +124,14 @@ def steps(
     step_s: float,
     n_parts: int,
     every: int,
+    rules: IntArray,
 ) -> FloatArray:
     """Solve the equations of all points.
 
     Args:
         start: First states. Shape (n, s).
-        coefficients: Of the terms. Shape (n, f).
+        coefficients: Of the terms, then the rules' thresholds, and then the shortest times between changes
+            of their switches, 0 for none. Shape (n, f + 2 r).
         driven: Inputs, constant over each communication step. Shape (m, q).
         ends: Position after every derivative's last term. Shape (s,).
         places: Of every term where the value is, where what is subtracted from it is, the number of the
@@ -78,6 +139,9 @@ def steps(
         step_s: Communication step. [s]
         n_parts: Steps in it.
         every: Communication steps from one output to the next.
+        rules: When switches change, which are states of 0 or 1: where the switch is, its position before,
+            where the value is and what is subtracted from it, and 1 or -1 where it changes above or below
+            its threshold. Shape (r, 5).
 
     Returns:
         The states at the outputs, not finite from where they run away. Shape (n, 1 + m / every, s).
@@ -90,26 +154,62 @@ def steps(
     columns[-2] = 1.0
     h = step_s / n_parts
     x, slope, total = np.empty(n_states), np.empty(n_states), np.empty(n_states)
+    before, since, since_then = np.empty(n_states), np.empty(n_states), np.empty(n_states)
     for point in range(n):
         x[:] = start[point]
+        since[:] = 0.0
         answer[point, 0] = x
+        terms, limits = coefficients[point, : ends[-1]], coefficients[point, ends[-1] :]
         for step in range(driven.shape[0]):
             for one in range(n_inputs):
                 columns[n_states + one] = driven[step, one]
             for _ in range(n_parts):
+                if rules.shape[0] == 0:
+                    _advance(x, h, columns, terms, ends, places, slope, total)
+                    continue
+                left, n_changes = h, 0
                 columns[:n_states] = x
-                _slope(columns, coefficients[point], ends, places, slope)
-                total[:] = slope
-                # Classical Runge-Kutta: four slopes, at the start, twice
-                # at half a step and at its end, count 1, 2, 2, 1 sixths.
-                for weight, reach in ((2.0, 0.5), (2.0, 0.5), (1.0, 1.0)):
-                    for state in range(n_states):
-                        columns[state] = x[state] + reach * h * slope[state]
-                    _slope(columns, coefficients[point], ends, places, slope)
-                    for state in range(n_states):
-                        total[state] += weight * slope[state]
-                for state in range(n_states):
-                    x[state] += h / 6.0 * total[state]
+                while left > 0.0:
+                    rule, beyond = _nearest_change(columns, since, rules, limits)
+                    if beyond > 0.0:
+                        x[rules[rule, 0]] = columns[rules[rule, 0]] = 1.0 - x[rules[rule, 0]]
+                        since[rules[rule, 0]] = 0.0
+                        n_changes += 1
+                        if n_changes > MOST_CHANGES:
+                            x[:] = np.nan
+                            break
+                        continue
+                    before[:], since_then[:] = x, since
+                    _advance(x, left, columns, terms, ends, places, slope, total)
+                    since += left
+                    _, beyond_then = _nearest_change(columns, since, rules, limits)
+                    if not beyond_then > 0.0:
+                        break
+                    # The change lies within the step: regula falsi, of which a side that
+                    # stays counts half (Illinois; Dowell and Jarratt 1971, doi:10.1007/BF01934364).
+                    low, high, at_low, at_high, side = 0.0, left, beyond, beyond_then, 0
+                    for _ in range(MOST_GUESSES):
+                        if high - low <= SAME_TIME * h:
+                            break
+                        guess = high - (high - low) * at_high / (at_high - at_low)
+                        # A guess at an end of the bracket would leave the bracket as it is.
+                        guess = min(max(guess, low + 0.5 * SAME_TIME * h), high - 0.5 * SAME_TIME * h)
+                        x[:] = before
+                        _advance(x, guess, columns, terms, ends, places, slope, total)
+                        since[:] = since_then + guess
+                        _, at_guess = _nearest_change(columns, since, rules, limits)
+                        if at_guess > 0.0:
+                            high, at_high = guess, at_guess
+                            at_low *= 0.5 if side == 1 else 1.0
+                            side = 1
+                        else:
+                            low, at_low = guess, at_guess
+                            at_high *= 0.5 if side == -1 else 1.0
+                            side = -1
+                    x[:] = before
+                    _advance(x, high, columns, terms, ends, places, slope, total)
+                    since[:] = since_then + high
+                    left -= high
             if (step + 1) % every == 0:
                 answer[point, (step + 1) // every] = x
                 # States that run away do not come back: the rest of the answer stays NaN.

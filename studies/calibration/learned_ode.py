@@ -26,6 +26,7 @@ from studies.calibration.search_constants import SEARCH
 from studies.calibration.state_equations import LEAST_TO_LEARN, StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
+from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
 
 # Random points that are looked at before and after a first prediction was right, and how many of the best of
 # them, beside the best rows and the last ends, are walked downhill.
@@ -46,6 +47,9 @@ MATCHED, BELIEVED, N_MATCHED = 1e-3, 2e-2, 16
 CLEARLY = 0.8
 # Range of a state that hardly moves, as a share of its size.
 AT_REST = 1e-6
+# Parts of the time that walks of equations with switches fit first, one after the other.
+# Of 16 such searches all ended at the least error (docs/notes/state-equations.md, Switches).
+PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 
 # Rows after which equations are taken though some coefficient is no formula, by parameter and at least.
 # With 14 rows at first, 14 parameters took 16 calls to 1.02 times instead of 12;
@@ -77,6 +81,7 @@ class LearnedODE:
         """
         self._signals = signals
         self._locals = LocalVariables(signals)
+        self._positions = SwitchPositions(signals)
         self._course: Course | None = None
         self._seen = seen
         self._problem = problem
@@ -189,10 +194,10 @@ class LearnedODE:
         looks = rng.random((max(N_LOOKS, n), len(u)))
         with np.errstate(all="ignore"):
             least, greatest = self._equations.reach(Points.of(self._problem.space, looks))
-        seen = np.concatenate([rows.x.reshape(-1, self.n_states) for rows in self._rows])
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        seen = self._all_rows(self._signals).x
+        low, high = seen.min(axis=(0, 1)), seen.max(axis=(0, 1))
         # Of a state at rest rounding is no reach.
-        span = np.maximum(high - low, AT_REST * np.abs(seen).max(axis=0) + np.finfo(float).tiny)
+        span = np.maximum(high - low, AT_REST * np.abs(seen).max(axis=(0, 1)) + np.finfo(float).tiny)
         beyond = np.concatenate([low - least, greatest - high], axis=1) / np.tile(span, 2)
         beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
         # By turns the farthest of every state in either direction, those first that go farthest.
@@ -213,8 +218,8 @@ class LearnedODE:
 
     @property
     def n_states(self) -> int:
-        """States whose equations it learns."""
-        return len(self._signals.states)
+        """States whose equations it learns, without positions of switches."""
+        return len(self._signals.states) - self._signals.n_switches
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
@@ -244,7 +249,9 @@ class LearnedODE:
         is_missed = was_confirmed and self._mismatch_of(answer.u[whole], answer.residuals[whole]) > MATCHED
         self._u = np.concatenate([self._u, answer.u[whole]])
         self._rows.append(StateRows(*(part[whole] for part in rows[:3])))
-        self._locals.note(None if rows.locals is None else rows.locals[whole])
+        shown = None if rows.locals is None else rows.locals[whole]
+        self._locals.note(shown)
+        self._positions.note(shown)
         self._answered = np.concatenate([self._answered, answer.residuals[whole]])
         self._equations = self._learnt()
         if is_missed and self._equations is not None and not self._equations.is_exact:
@@ -254,21 +261,19 @@ class LearnedODE:
         self._mismatch = self._mismatch_of(self._u[-N_MATCHED:], self._answered[-N_MATCHED:])
 
     def _learnt(self) -> StateEquations | None:
-        parts = zip(*(rows[:3] for rows in self._rows), strict=True)
-        rows, n = StateRows(*(np.concatenate(part) for part in parts)), len(self._u)
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
-            if n < max(2 * self._n_examined, LEAST_TO_LEARN):
+            if len(self._u) < max(2 * self._n_examined, LEAST_TO_LEARN):
                 return None
-            self._n_examined = n
-            signals = self._locals.as_inputs()
-            structure = Structure.of(signals, rows)
+            self._n_examined = len(self._u)
+            signals, structure = self._found_structure()
             self.misfit = structure.misfit
             if structure.lacking:
                 self.why_not = structure.why_not(signals)
                 return None
             self._signals, self._structure = structure.of_used(signals)
             self._course = None
+        rows = self._all_rows(self._signals)
         found, self.misfit = self._structure.fitted(self._signals, rows)
         # Written so that NaN counts as a misfit, too.
         if not self.misfit <= self._structure.most_left:
@@ -277,14 +282,45 @@ class LearnedODE:
             return None
         points = Points.of(self._problem.space, self._u)
         equations = StateEquations.learn(
-            self._signals, self._structure, points, rows.x[:, 0], found, self._products
+            self._signals, self._structure, points, rows.x, found, self._products
         )
-        if equations is None:
-            self._structure = None
-            self.why_not = "they move too fast to be solved in time"
-        elif self._signals.n_hidden and self._course is None:
+        if isinstance(equations, str):
+            self.why_not = equations
+            # One more row may show what a switch does.
+            if not self._signals.n_switches:
+                self._structure = None
+            return None
+        if self._signals.n_hidden and self._course is None:
             equations = self._with_course(equations, points, rows.x)
         return equations
+
+    def _found_structure(self) -> tuple[StateSignals, Structure]:
+        """Find the terms, with positions of switches where there are none without."""
+        signals = self._locals.as_inputs()
+        structure = Structure.of(signals, self._all_rows(signals))
+        switches = tuple(self._positions.known())
+        while structure.lacking and switches:
+            switching = with_switches(signals, switches)
+            found = Structure.of(switching, self._all_rows(switching))
+            if found.lacking:
+                break
+            # What no term has needs no rule.
+            used = found.used()
+            n = len(signals.states)
+            needed = tuple(name for place, name in enumerate(switches, n) if place in used)
+            if needed == switches:
+                return switching, found
+            switches = needed
+        return signals, structure
+
+    def _all_rows(self, signals: StateSignals) -> StateRows:
+        """Return what states and outputs did in all rows, switches among the states."""
+        rows = StateRows(
+            *(np.concatenate(part) for part in zip(*(one[:3] for one in self._rows), strict=True))
+        )
+        known = self._positions.known()
+        switches = signals.states[len(signals.states) - signals.n_switches :]
+        return with_positions(rows, [known[name] for name in switches])
 
     def _with_course(self, equations: StateEquations, points: Points, x: FloatArray) -> StateEquations:
         """Find what hidden inputs do between the outputs; return equations that follow it."""
@@ -330,10 +366,10 @@ class LearnedODE:
             rng: Source of the looks.
         """
         p = known.shape[1]
-        n_random = N_RANDOM_SURE if self.is_sure else N_RANDOM
-        looks = rng.random((N_LOOKS if self.is_sure or self.n_asked < p else N_LOOKS_LATER, p))
         prior = self._problem.prior
-        best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")[:n_random]
+        looks = self._looks(p, rng)
+        best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")
+        best = best[: N_RANDOM_SURE if self.is_sure else N_RANDOM]
         rows = np.argsort(objective, kind="stable")[:N_ROWS]
         starts = np.concatenate([known[rows], self._ends, looks[best]])
         ends, values = descend_together(self._residuals, prior, starts)
@@ -352,8 +388,35 @@ class LearnedODE:
         # With no curvature, points that are drawn beside this one spread alike in all directions.
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
 
-    def _residuals(self, u: FloatArray) -> FloatArray:
+    def _looks(self, p: int, rng: np.random.Generator) -> FloatArray:
+        """Return points of which the best are walked downhill. Shape (n, p). [1]."""
+        looks = rng.random((N_LOOKS if self.is_sure or self.n_asked < p else N_LOOKS_LATER, p))
+        if not self._signals.n_switches:
+            return looks
+        # The error over the whole time jumps with the number of changes; over a short time there are few.
+        ends, measurement = looks[:0], self._problem.measurement
+        for part in PARTS:
+            n = math.ceil(part * len(measurement.time))
+            late = np.zeros((1, len(measurement.time), len(measurement.output_names)))
+            late[:, n:] = 1.0
+            is_seen = (measurement.compared(late) == measurement.compared(0.0 * late))[0]
+
+            def residuals(u: FloatArray, n: int = n, is_seen: BoolArray = is_seen) -> FloatArray:
+                return self._residuals(u, n)[:, is_seen]
+
+            starts = np.concatenate([ends, rng.random((N_LOOKS, p))])
+            best = np.argsort(objectives(None, starts, residuals(starts)), kind="stable")[:N_RANDOM_SURE]
+            ends, _ = descend_together(residuals, self._problem.prior, starts[best])
+        return np.concatenate([ends, looks])
+
+    def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
+        """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         assert self._equations is not None, "equations are learnt before they are solved"
+        measurement = self._problem.measurement
         with np.errstate(all="ignore"):
             points = Points.of(self._problem.space, u)
-            return self._problem.measurement.compared(self._equations.outputs(points))
+            if n_outputs is None:
+                return measurement.compared(self._equations.outputs(points))
+            y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
+            y[:, :n_outputs] = self._equations.until(n_outputs).outputs(points)
+            return measurement.compared(y)

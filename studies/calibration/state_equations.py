@@ -30,6 +30,7 @@ from studies.calibration.state_terms import (
     spread,
 )
 from studies.calibration.states import StateRows, StateSignals
+from studies.calibration.switch_rules import SwitchRules
 from studies.calibration.term_choice import chosen_terms, fitted
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave: at least, and at most
@@ -45,6 +46,8 @@ SURE = 1e-5
 # With one or two amounts to find, four rows leave three
 # or two numbers that must fit to five digits (same note).
 LEAST_TO_LEARN = 4
+# Rows in which changes of switches are located: a row takes some 20 ms.
+MOST_RULE_ROWS = 16
 # States at all steps that are held in memory at once.
 # 32 MB, at 8 bytes each.
 MOST_VALUES = 4_000_000
@@ -101,7 +104,7 @@ class Structure:
         """Return signals without the hidden inputs that no term has, and the structure of those."""
         n_states = len(signals.states)
         n_declared = n_states + len(signals.inputs) - signals.n_hidden
-        used = {place for one in self.sums for term in one.terms for place in (term.column, *term.factors)}
+        used = self.used()
         kept = [*range(n_declared), *sorted(place for place in used if place >= n_declared)]
         place_of = {-1: -1} | {place: rank for rank, place in enumerate(kept)}
         columns = [place - n_states for place in kept[n_states:]]
@@ -126,6 +129,10 @@ class Structure:
             n_hidden=len(kept) - n_declared,
         )
         return fewer, replace(self, sums=sums)
+
+    def used(self) -> set[int]:
+        """Return the positions among states and inputs that terms have."""
+        return {place for one in self.sums for term in one.terms for place in (term.column, *term.factors)}
 
     def fitted(self, signals: StateSignals, rows: StateRows) -> tuple[list[FloatArray], float]:
         """Fit the coefficients of every row.
@@ -209,6 +216,8 @@ def _sum(
 
 def _flow(signals: StateSignals, structure: Structure) -> LinearFlow | SteppedFlow:
     derivatives = structure.sums[: len(signals.states)]
+    if signals.n_switches:
+        return SteppedFlow(signals, derivatives)
     return LinearFlow.of(signals, derivatives) or SteppedFlow(signals, derivatives)
 
 
@@ -228,6 +237,7 @@ class StateEquations:
         start: States at the first output that is watched.
         flow: Solves them.
         is_exact: Whether all of that are formulas, found from enough rows.
+        limits: Thresholds of switches, and shortest times between their changes, see `SwitchRules`.
     """
 
     signals: StateSignals
@@ -236,6 +246,7 @@ class StateEquations:
     start: tuple[Coefficient, ...]
     flow: LinearFlow | SteppedFlow
     is_exact: bool
+    limits: tuple[Coefficient, ...] = ()
 
     @classmethod
     def learn(
@@ -243,27 +254,27 @@ class StateEquations:
         signals: StateSignals,
         structure: Structure,
         points: Points,
-        starts: FloatArray,
+        x: FloatArray,
         found: Sequence[FloatArray],
         products: Products,
-    ) -> Self | None:
+    ) -> Self | str:
         """Learn coefficients and start states over the parameters.
 
         Args:
             signals: What is known of the states.
             structure: The terms.
             points: The rows.
-            starts: States at the first output that is watched. Shape (n, s). [FMU's units]
+            x: States, from the first output that is watched. Shape (n, t, s). [FMU's units]
             found: Coefficients of every row, from `Structure.fitted`.
             products: Of the box's parameters.
 
         Returns:
-            The equations, None where they cannot be solved in steps of reasonable length.
+            The equations, or in words why there are none.
         """
         by_term = tuple(
             tuple(Coefficient.fit(points, column, products) for column in table.T) for table in found
         )
-        start = tuple(Coefficient.fit(points, column, products) for column in starts.T)
+        start = tuple(Coefficient.fit(points, column, products) for column in x[:, 0].T)
         is_exact = all(one.is_exact for table in (*by_term, start) for one in table)
         # Where rows leave a coefficient open, a formula from fewer than these may be chance.
         is_known = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
@@ -272,19 +283,50 @@ class StateEquations:
         # Matrix exponentials are exact: no step has to be refined.
         if isinstance(flow, LinearFlow):
             return equations
+        if signals.n_switches:
+            switched = equations._with_rules(points, x, products)
+            if isinstance(switched, str):
+                return switched
+            equations = switched
         some = points.part(spread(len(points.x), N_ROWS))
+        assert isinstance(equations.flow, SteppedFlow), "linear equations were returned above"
         with np.errstate(all="ignore"):
-            fine = flow.fine_enough(equations._at_start(some), equations._rates(some))
-        return None if fine is None else replace(equations, flow=fine)
+            fine = equations.flow.fine_enough(equations._at_start(some), equations._rates(some))
+        return "they move too fast to be solved in time" if fine is None else replace(equations, flow=fine)
+
+    def _with_rules(self, points: Points, x: FloatArray, products: Products) -> Self | str:
+        """Learn when switches change, from the rows' states (n, t, s); say why not in words."""
+        if not self.is_exact:
+            return "the coefficients beside the positions of switches are no formulas"
+        some = spread(len(x), MOST_RULE_ROWS)
+        points, derivatives = points.part(some), self.structure.sums[: len(self.signals.states)]
+        rules = SwitchRules.of(self.signals, derivatives, x[some], self._rates(points))
+        limits = tuple(Coefficient.fit(points, column, products) for column in rules.limits.T)
+        is_known = (np.isfinite(rules.limits).sum(axis=0) >= LEAST_TO_LEARN).all()
+        if rules.lacking or not is_known or not all(one.is_exact for one in limits):
+            return f"{rules.lacking or 'a switch'} changes at no threshold that was found"
+        flow = SteppedFlow(self.signals, derivatives, rules.places)
+        return replace(self, flow=flow, limits=limits)
 
     def driven_by(self, driven: FloatArray) -> Self:
         """Return the same equations with other inputs over the communication steps. Shape (m, q)."""
         signals = replace(self.signals, driven=driven)
         flow = _flow(signals, self.structure)
         # Fixed parts of a step, so that courses of inputs are compared with each other, and not their steps.
-        if isinstance(flow, SteppedFlow) and isinstance(self.flow, SteppedFlow):
-            flow = replace(flow, n_parts=self.flow.n_parts)
+        if isinstance(self.flow, SteppedFlow):
+            flow = replace(self.flow, signals=signals)
         return replace(self, signals=signals, flow=flow)
+
+    def until(self, n_outputs: int) -> Self:
+        """Return the same stepped equations over the first reported outputs alone."""
+        assert isinstance(self.flow, SteppedFlow), "matrix exponentials are solved over all outputs"
+        n = self.signals.n_before + n_outputs
+        signals = replace(
+            self.signals,
+            driven=self.signals.driven[: (n - 1) * self.signals.every],
+            seen=None if self.signals.seen is None else self.signals.seen[:n],
+        )
+        return replace(self, signals=signals, flow=replace(self.flow, signals=signals))
 
     def missed(self, points: Points, x: FloatArray) -> float:
         """Return how solved states differ from simulated ones (n, t, s), as a share of their squares. [1]."""
@@ -327,7 +369,7 @@ class StateEquations:
     def coefficients(self, points: Points) -> FloatArray:
         """Return all coefficients and first states. Shape (n, c)."""
         by_sum = [self._at(j, points) for j in range(len(self.by_term))]
-        return np.concatenate([*by_sum, self._at_start(points).T], axis=1)
+        return np.concatenate([*by_sum, self._at_start(points).T, self._limits(points)], axis=1)
 
     def _outputs(self, points: Points) -> FloatArray:
         with np.errstate(all="ignore"):
@@ -346,8 +388,13 @@ class StateEquations:
         return np.stack([one.at(points) for one in self.by_term[j]], axis=-1)
 
     def _rates(self, points: Points) -> list[FloatArray]:
-        """Return the coefficients of every derivative, shapes (n, terms)."""
-        return [self._at(j, points) for j in range(len(self.signals.states))]
+        """Return the coefficients of every derivative, shapes (n, terms), and of switches, (n, 2 r)."""
+        rates = [self._at(j, points) for j in range(len(self.signals.states))]
+        return [*rates, self._limits(points)] if self.limits else rates
+
+    def _limits(self, points: Points) -> FloatArray:
+        """Return thresholds and shortest times. Shape (n, 2 r)."""
+        return np.array([one.at(points) for one in self.limits]).reshape(-1, len(points.x)).T
 
     def _at_start(self, points: Points) -> FloatArray:
         """Return the first states. Shape (s, n)."""

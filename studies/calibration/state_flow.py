@@ -5,9 +5,9 @@ others by the classical Runge-Kutta method of fourth order, in so many parts of 
 not matter. Points share the cores; each one's numbers are the same whatever it is solved beside.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Self
 
@@ -26,6 +26,13 @@ EXPONENTIAL = 30
 # Parts of a communication step, and the change by halving them that is small: relative to how a state moves,
 # or to one that is at rest.
 MOST_PARTS, SMALL_CHANGE, ROUNDING = 64, 1e-2, 1e-9
+# The same where switches change, whose times errors move. With two parts instead of four a heat pump took
+# four calls more for its last 7 % (docs/notes/state-equations.md, Switches).
+SMALL_WITH_SWITCHES = 1e-3
+
+Solver = Callable[[FloatArray, FloatArray, FloatArray, float, int], FloatArray]
+"""First states (n, s), coefficients (n, f), inputs (m, q), communication step [s], and communication steps
+from one output to the next, to states at the outputs (n, t, s)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +139,18 @@ class LinearFlow:
 
 @dataclass(frozen=True, eq=False)
 class SteppedFlow:
-    """Equations with products or functions of states, solved by the classical Runge-Kutta method.
+    """Equations with products, functions or switches, solved by the classical Runge-Kutta method.
 
     Attributes:
         signals: What is known of the states.
         sums: The s derivatives.
+        rules: When switches change, see `flow_steps.steps`. Shape (r, 5).
         n_parts: Steps in a communication step.
     """
 
     signals: StateSignals
     sums: tuple[Sum, ...]
+    rules: IntArray = field(default_factory=lambda: np.empty((0, 5), dtype=np.int64))
     n_parts: int = 1
 
     @property
@@ -158,6 +167,7 @@ class SteppedFlow:
             rates: Coefficients of every derivative's terms. Shapes (n, terms).
         """
         flow, coarse = self, self.states(start, rates)
+        share = SMALL_WITH_SWITCHES if self.signals.n_switches else SMALL_CHANGE
         # Fixed parts instead of adaptive steps: differences of neighbouring points
         # must not see steps change (docs/notes/state-equations.md, Whole powers).
         while flow.n_parts < MOST_PARTS:
@@ -165,9 +175,11 @@ class SteppedFlow:
             states = flow.states(start, rates)
             # Points that run away with any step say nothing of steps.
             is_known = np.isfinite(states).all(axis=(1, 2))
-            change = np.sqrt(np.mean((states - coarse)[is_known] ** 2, axis=1))
-            solved = states[is_known]
-            small = SMALL_CHANGE * solved.std(axis=1) + ROUNDING * np.abs(solved).max(axis=1)
+            # Switches jump: at an output next to a change they say nothing of steps.
+            n = len(self.signals.states) - self.signals.n_switches
+            change = np.sqrt(np.mean((states - coarse)[is_known, :, :n] ** 2, axis=1))
+            solved = states[is_known, :, :n]
+            small = share * solved.std(axis=1) + ROUNDING * np.abs(solved).max(axis=1)
             if change.size and (change <= small).all():
                 return flow
             coarse = states
@@ -178,35 +190,38 @@ class SteppedFlow:
 
         Args:
             start: First states. Shape (s, n).
-            rates: Coefficients of every derivative's terms. Shapes (n, terms).
+            rates: Coefficients of every derivative's terms, shapes (n, terms), and of the rules, (n, 2 r).
 
         Returns:
             The states at the outputs. Shape (n, t, s).
         """
-        # Only who needs it waits for numba.
-        from studies.calibration.flow_steps import steps
-
-        signals, places = self.signals, self._places()
-        ends = np.array([*accumulate(len(one.terms) for one in self.sums)])
+        signals, solve = self.signals, self.solver()
         coefficients = np.concatenate(rates, axis=1)
         n_threads = max(min(available_cores(), start.shape[1]), 1)
 
         def solved(rows: IntArray) -> FloatArray:
-            return steps(
-                np.ascontiguousarray(start.T[rows]),
-                coefficients[rows],
-                signals.driven,
-                ends,
-                places,
-                signals.step_s,
-                self.n_parts,
-                signals.every,
-            )
+            first = np.ascontiguousarray(start.T[rows])
+            return solve(first, coefficients[rows], signals.driven, signals.step_s, signals.every)
 
         # Threads are enough: compiled steps run without the interpreter's lock.
         with ThreadPoolExecutor(n_threads) as threads:
             parts = np.array_split(np.arange(start.shape[1]), n_threads)
             return np.concatenate([*threads.map(solved, parts)])
+
+    def solver(self) -> Solver:
+        """Return what solves the equations from any start over any inputs."""
+        # Only who needs it waits for numba.
+        from studies.calibration.flow_steps import steps
+
+        places, ends = self._places(), np.array([*accumulate(len(one.terms) for one in self.sums)])
+
+        def solve(
+            start: FloatArray, coefficients: FloatArray, driven: FloatArray, step_s: float, every: int
+        ) -> FloatArray:
+            driven = np.ascontiguousarray(driven)
+            return steps(start, coefficients, driven, ends, places, step_s, self.n_parts, every, self.rules)
+
+        return solve
 
     def _places(self) -> IntArray:
         """Return of every term where its parts are; see `flow_steps.steps`."""

@@ -107,7 +107,8 @@ def candidates(signals: StateSignals, own: int) -> list[Term]:
         return [*(Term(column) for column in columns), Term(-1)]
     # Heat flows between temperatures: one difference instead of two terms with opposite coefficients.
     plain = [Term(column, signals.units[column] == signals.units[own]) for column in columns if column != own]
-    switches = [column for column in columns if column >= n_states and signals.units[column] in DIMENSIONLESS]
+    first = n_states - signals.n_switches
+    switches = [column for column in columns if column >= first and signals.units[column] in DIMENSIONLESS]
     # Hidden inputs without unit may be dozens; those that switch have two values.
     if len(switches) * len(plain) > MOST_CANDIDATES and signals.n_hidden:
         switches = [one for one in switches if len(np.unique(signals.at_outputs[:, one - n_states])) <= 2]

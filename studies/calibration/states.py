@@ -47,6 +47,7 @@ class StateSignals:
         locals: Names of l other variables that are watched: weather, schedules and gains may be among them.
         local_units: Their units, "" for none. Length l.
         n_hidden: How many of the inputs, the last ones, are variables that follow time (hidden_inputs.py).
+        n_switches: How many of the states, the last ones, are positions of switches (switch_positions.py).
         tolerance: Relative tolerance of the FMU's solver. [1]
     """
 
@@ -66,6 +67,7 @@ class StateSignals:
     locals: tuple[str, ...] = ()
     local_units: tuple[str, ...] = ()
     n_hidden: int = 0
+    n_switches: int = 0
     tolerance: float = 0.0
 
     @classmethod

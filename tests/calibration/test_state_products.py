@@ -74,9 +74,9 @@ def learnt(model: Moving, n: int) -> StateEquations:
     assert structure.misfit < LEARNT
     found, _ = structure.fitted(model.signals, rows)
     equations = StateEquations.learn(
-        model.signals, structure, Points.of(SPACE, u), rows.x[:, 0], found, Products.of(SPACE)
+        model.signals, structure, Points.of(SPACE, u), rows.x, found, Products.of(SPACE)
     )
-    assert equations is not None
+    assert isinstance(equations, StateEquations)
     return equations
 
 
@@ -123,9 +123,9 @@ def test_reactions_in_a_stirred_tank_are_found() -> None:
     assert structure.sums[1].terms == (Term(0, factors=(1,)),)
     found, _ = structure.fitted(signals, rows)
     equations = StateEquations.learn(
-        signals, structure, Points.of(space, u), rows.x[:, 0], found, Products.of(space)
+        signals, structure, Points.of(space, u), rows.x, found, Products.of(space)
     )
-    assert equations is not None
+    assert isinstance(equations, StateEquations)
     assert equations.is_exact
     fresh = np.random.default_rng(1).random((3, 2))
     expected = model.simulate(space.from_unit(fresh)).y[..., :1]

@@ -181,6 +181,16 @@ def weather_inside(case: Case, p: dict[str, float], rng: np.random.Generator) ->
     return np.column_stack(shown)
 
 
+def switching(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
+    """The FMU itself in other weather than it is given; its sensors lag and drift."""
+    inputs = (
+        case.scenario.inputs
+        + rng.uniform(0.1, 0.3) * red_noise(rng, len(case.scenario.inputs), 24.0)[:, None]
+    )
+    scenario = replace(case.scenario, inputs=inputs)
+    return weather_inside(replace(case, settings=replace(case.settings, scenario=scenario)), p, rng)
+
+
 def _lagged(values: FloatArray, step_s: float, lag_s: float) -> FloatArray:
     """Return what a sensor with a time constant shows. Shape (t,)."""
     share, shown = 1.0 - np.exp(-step_s / lag_s), [values[0]]
@@ -217,6 +227,8 @@ SENSORS: dict[str, tuple[Truth, tuple[float, ...]]] = {
     "slab": (slab, (0.04,)),
     "vanderpol": (oscillator, (0.15,)),
     "thermostat": (thermostat, (0.04, 0.0)),
+    "heating-circuit": (switching, (0.04, 0.2)),
+    "heat-pump": (switching, (0.04, 0.01)),
     "office-inside": (weather_inside, (0.04,)),
     "wall-inside": (weather_inside, (0.02, 1.0)),
     "house-inside": (weather_inside, (0.04, 0.04)),

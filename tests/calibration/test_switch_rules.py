@@ -1,0 +1,147 @@
+"""Switches among the states: their positions, when they change, and the equations solved with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation import load_case
+from simulation.arrays import FloatArray
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.coefficient import Points
+from studies.calibration.learned_ode import LearnedODE
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.state_flow import SteppedFlow
+from studies.calibration.state_terms import Sum, Term
+from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
+from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
+
+REPOSITORY = Path(__file__).parents[2]
+STEP_S, N_STEPS = 1.0, 40
+PLAIN = StateSignals(
+    states=("T",),
+    derivatives=("der(T)",),
+    inputs=(),
+    units=("K",),
+    depends_on=(frozenset({"T"}),),
+    driven=np.empty((N_STEPS, 0)),
+    step_s=STEP_S,
+    every=1,
+    n_before=0,
+    outputs=("T",),
+    conversions=np.array([[1.0, 0.0]]),
+    locals=("on", "power", "off", "schedule", "level", "standby"),
+    local_units=("1", "W", "1", "1", "1", "W"),
+)
+SWITCHED = with_switches(PLAIN, ["on"])
+
+
+def relay(waits: tuple[float, float], n_parts: int = 1) -> FloatArray:
+    """Solve T' = 2 on - 1 from 0, on until 3.3 and off until -1.1. Shape (t, 2)."""
+    rules = np.array([[1, 0, 0, 3, -1], [1, 1, 0, 3, 1]])
+    flow = SteppedFlow(SWITCHED, (Sum(0, (Term(1), Term(-1))), Sum(1, (Term(-1),))), rules, n_parts)
+    rates = [np.array([[2.0, -1.0]]), np.zeros((1, 1)), np.array([[-1.1, 3.3, *waits]])]
+    return flow.states(np.array([[0.0], [1.0]]), rates)[0]
+
+
+def saw_tooth(turns_s: FloatArray, heights: FloatArray) -> FloatArray:
+    """The same in closed form, from where it turns."""
+    return np.interp(STEP_S * np.arange(N_STEPS + 1), turns_s, heights)
+
+
+@pytest.mark.parametrize("n_parts", [1, 7])
+def test_a_switch_changes_within_steps(n_parts: int) -> None:
+    found = relay((0.0, 0.0), n_parts)
+    turns = np.concatenate([[0.0], 3.3 + 4.4 * np.arange(10)])
+    expected = saw_tooth(turns, np.array([0.0, *[3.3, -1.1] * 5]))
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-8)
+    assert set(np.unique(found[:, 1])) == {0.0, 1.0}
+
+
+def test_a_switch_waits_since_its_last_change() -> None:
+    # Turned off late, after 5.5, it falls for 6.6 to its other threshold; then 5.5 is always the longer time.
+    turns = np.concatenate([[0.0, 5.5], 12.1 + 5.5 * np.arange(7)])
+    expected = saw_tooth(turns, np.array([0.0, 5.5, *[-1.1, 4.4] * 3, -1.1]))
+    np.testing.assert_allclose(relay((5.5, 5.5))[:, 0], expected, atol=1e-8)
+
+
+def test_a_switch_that_never_comes_to_rest_has_no_solution() -> None:
+    rules = np.array([[1, 0, 0, 3, 1], [1, 1, 0, 3, 1]])
+    flow = SteppedFlow(SWITCHED, (Sum(0, (Term(1),)), Sum(1, (Term(-1),))), rules)
+    found = flow.states(
+        np.array([[0.0], [1.0]]), [np.ones((1, 1)), np.zeros((1, 1)), np.array([[1.5, 1.5, 0.0, 0.0]])]
+    )
+    assert np.isfinite(found[0, :2]).all()
+    assert not np.isfinite(found[0, 2:]).any()
+
+
+def test_positions_are_variables_of_two_values_once_each() -> None:
+    rng = np.random.default_rng(0)
+    on = (rng.random((4, N_STEPS + 1)) > 0.5).astype(float)
+    power = np.array([3.0, 5.0, 2.0, 7.0])[:, None]
+    other = (rng.random((4, N_STEPS + 1)) > 0.5) * power
+    schedule = np.tile(on[:1], (4, 1))
+    level = rng.integers(0, 3, on.shape).astype(float)
+    # Never 0, so that one row does not say which of its positions is another row's.
+    standby = 1.0 + other
+    positions = SwitchPositions(PLAIN)
+    values = np.stack([on, other, 1.0 - on, schedule, level, standby], axis=-1)
+    positions.note(values[:3])
+    positions.note(values[3:])
+    found = positions.known()
+    assert list(found) == ["on", "power"]
+    np.testing.assert_array_equal(found["power"], other > 0.0)
+    rows = StateRows(
+        np.zeros((4, N_STEPS + 1, 1)), np.ones((4, N_STEPS + 1, 1)), np.zeros((4, N_STEPS + 1, 1))
+    )
+    more = with_positions(rows, [found["on"]])
+    np.testing.assert_array_equal(more.x[..., 1], on)
+    assert not more.slope[..., 1].any()
+    assert SWITCHED.units == ("K", "1")
+    assert SWITCHED.depends_on[0] == {"T", "on"}
+
+
+def test_a_thermostat_is_solved_anywhere_in_the_box_and_takes_five_calls() -> None:
+    case = load_case(REPOSITORY / "fmus" / "thermostat")
+    with watching_states(case).open_model() as model:
+        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+        ode = LearnedODE.of(problem)
+        found = Adaptive(max_calls=20).minimize(problem, seed=0, learned_ode=ode)
+        assert ode.model is not None
+        theta = case.parameter_space.from_unit(np.random.default_rng(1).random((8, 6)))
+        solved, simulated = ode.model.simulate(theta), problem.model.simulate(theta)
+    assert found.n_calls == 5
+    assert found.converged
+    assert found.mse < 1.01 * case.references[0].mse
+    np.testing.assert_allclose(solved.y, simulated.y, atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "n_rules", "n_rows"), [("heating_circuit", 4, 4), ("heat_pump", 2, 12)])
+def test_two_switches_and_a_shortest_time_are_learnt(name: str, n_rules: int, n_rows: int) -> None:
+    case = load_case(REPOSITORY / "tests" / "benchmarks" / "fewest_calls" / name)
+    u = np.random.default_rng(0).random((n_rows + 4, case.parameter_space.n_parameters))
+    with watching_states(case).open_model() as model:
+        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+        ode = LearnedODE.of(problem)
+        ode.note(problem.evaluate(u[:4]))
+        if n_rows > 4:
+            # Four rows do not separate the shortest time from a threshold.
+            assert "changes at no threshold that was found" in ode.why_not
+            ode.note(problem.evaluate(u[4:n_rows]))
+        assert ode.model is not None
+        solved, simulated = ode.model.simulate(case.parameter_space.from_unit(u)), problem.evaluate(u)
+    np.testing.assert_allclose(solved.y, simulated.y, atol=0.05)
+    assert len(ode.model.equations.limits) == 2 * n_rules
+
+
+def test_points_are_solved_the_same_alone_and_beside_others() -> None:
+    case = load_case(REPOSITORY / "fmus" / "thermostat")
+    with watching_states(case).open_model() as model:
+        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+        ode = LearnedODE.of(problem)
+        ode.note(problem.evaluate(np.random.default_rng(0).random((4, 6))))
+    assert ode.model is not None
+    points = Points.of(case.parameter_space, np.random.default_rng(1).random((5, 6)))
+    together = ode.model.equations.outputs(points)
+    alone = ode.model.equations.outputs(points.part(slice(2, 3)))
+    np.testing.assert_array_equal(together[2:3], alone)
