@@ -67,7 +67,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def whole_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project in which the office was run with the profile "smoke"; to be read or copied."""
+    """A project in which the office was run with the profile "smoke".
+
+    Other processes copy it: who opens its databases opens those of a copy.
+    """
     from project_for_tests import finish, make_validated_project
 
     return made_once(tmp_path_factory, "whole-run", lambda root: finish(make_validated_project(root)))

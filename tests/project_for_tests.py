@@ -81,13 +81,19 @@ def make_calibrated_wall(root: Path, *options: str) -> Path:
     """Make a project with a wall and calibrate it with some options, quietly, in one process."""
     from studies.cli import main
 
-    make_project(root)
-    for folder in ("fmus/wall", "data/wall"):
-        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
+    add_case(make_project(root))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
         assert main(["calibrate", "wall", "--jobs", "1", "-q", *options]) == 0
     return root
+
+
+def add_case(root: Path, name: str = "wall") -> Path:
+    """Copy an embedded case and its data into a project; return the case file."""
+    for room in ("fmus", "data"):
+        ignore = shutil.ignore_patterns("generated")
+        shutil.copytree(REPOSITORY / room / name, root / room / name, ignore=ignore)
+    return root / "fmus" / name / "case.toml"
 
 
 def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:

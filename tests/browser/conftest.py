@@ -31,12 +31,18 @@ def needs_a_browser() -> None:
 
 
 @pytest.fixture(scope="module")
-def addresses(whole_run: Path) -> Iterator[dict[str, str]]:
+def project(needs_a_browser: None, whole_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project of the whole run, copied: a server writes into it."""
+    return shutil.copytree(whole_run, tmp_path_factory.mktemp("browser") / "project")
+
+
+@pytest.fixture(scope="module")
+def addresses(project: Path) -> Iterator[dict[str, str]]:
     """The addresses that `studies ui` prints, by what it says of each; the server ends with the module."""
     server = subprocess.Popen(
         [sys.executable, "-u", "-m", "studies", "ui"],
-        env=os.environ | {"STUDIES_ROOT": str(whole_run)},
-        cwd=whole_run,
+        env=os.environ | {"STUDIES_ROOT": str(project)},
+        cwd=project,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -28,9 +28,9 @@ def page(browser: "Browser") -> "Iterator[Page]":
 
 
 @pytest.fixture(scope="module")
-def tuned(whole_run: Path) -> list[TunedStudy]:
+def tuned(project: Path) -> list[TunedStudy]:
     """The study of each size, as Optuna has it."""
-    found = [one for one in read_studies(ProjectPaths(whole_run)) if not one.spec.is_baseline]
+    found = [one for one in read_studies(ProjectPaths(project)) if not one.spec.is_baseline]
     assert [one.spec.n_train for one in found] == [16, 32]
     return found
 

@@ -1,11 +1,10 @@
 """What the user knows: priors in the case file."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from project_for_tests import REPOSITORY, Run
+from project_for_tests import Run, add_case
 
 from simulation.case import load_case
 from studies.doctor.declared import look_at_declaration
@@ -18,8 +17,7 @@ PRIOR = 'name = "GIn"\nprior = { about = 75, within_factor = 1.05 }\n'
 @pytest.fixture
 def project(project: Path) -> Path:
     """The project with the wall."""
-    for room in ("fmus", "data"):
-        shutil.copytree(REPOSITORY / room / "wall", project / room / "wall")
+    add_case(project)
     return project
 
 

@@ -1,6 +1,7 @@
 """A run that is interrupted in every stage, by Ctrl-C or by SIGKILL, ends where an uninterrupted one does."""
 
 import json
+import shutil
 import signal
 import sqlite3
 from collections.abc import Callable
@@ -159,7 +160,7 @@ def test_a_run_interrupted_in_every_stage_ends_the_same(tmp_path: Path, whole_ru
     after = finished_work(project)
     assert {name: after.get(name) for name in before} == before
     assert "simulate: finished before" in log
-    undisturbed = results(whole_run)
+    undisturbed = results(shutil.copytree(whole_run, tmp_path / "undisturbed"))
     assert {"calibrate-n0016.json", "calibrate-n0032.json"} <= set(undisturbed)
     assert results(project) == undisturbed
     assert open_runs(project) == []

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_project
+from project_for_tests import REPOSITORY, Run, add_case, copy_of, make_project
 
 from studies.cli import main
 
@@ -19,10 +19,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which the wall was calibrated by its state equations."""
     root = make_project(tmp_path_factory.mktemp("equations") / "project")
     for name in ("wall", "thermostat"):
-        shutil.copytree(REPOSITORY / "fmus" / name, root / "fmus" / name)
-        (root / "data" / name).mkdir()
-        for file in (REPOSITORY / "data" / name).glob("*.csv"):
-            shutil.copy(file, root / "data" / name / file.name)
+        add_case(root, name)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
         # Killed after three simulations, as it were: the next command goes on from there.

@@ -1,7 +1,6 @@
 """The doctor on the real office, on a sound case and on spoilt ones."""
 
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bad_cases_for_tests import counted, make_bad_case
-from project_for_tests import REPOSITORY, Answer, Run
+from project_for_tests import Answer, Run, add_case
 
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
@@ -264,9 +263,7 @@ def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
 def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
     tmp_path: Path, value: str, said: str
 ) -> None:
-    for folder in ("fmus/wall", "data/wall"):
-        shutil.copytree(REPOSITORY / folder, tmp_path / folder)
-    file = tmp_path / "fmus" / "wall" / "case.toml"
+    file = add_case(tmp_path)
     edit(file, "GOut = 200.0", f"GOut = {value}")
     beyond = [one for one in look_at_declaration(load_case(file)) if one.what.startswith("fixed values")]
     assert [one.level for one in beyond] == (["warn"] if said else [])

@@ -23,6 +23,7 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.cli import main
 from studies.paths import ProjectPaths
+from studies.profile import PROFILE_FOLDER
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import RunStore
@@ -65,10 +66,10 @@ class Done:
         return [stage for stage in self.document["stages"] if stage["stage"].startswith("calibrate")]
 
 
-def run(project: Path) -> Done:
+def run(project: Path, profiles: Path) -> Done:
     started = time.monotonic()
     done = subprocess.run(
-        [*COMMAND, "--profile", str(project / "quick.toml"), "--n-train", *map(str, SIZES)],
+        [*COMMAND, "--profile", str(profiles / "quick.toml"), "--n-train", *map(str, SIZES)],
         env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)},
         capture_output=True,
         text=True,
@@ -79,18 +80,30 @@ def run(project: Path) -> Done:
 
 
 @pytest.fixture(scope="module")
-def first(tmp_path_factory: pytest.TempPathFactory) -> Done:
+def profiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped profiles, of which `quick` takes a sixteenth of the simulations for Sobol indices."""
+    folder = shutil.copytree(PROFILE_FOLDER, tmp_path_factory.mktemp("short") / "profiles")
+    quick = (folder / "quick.toml").read_text(encoding="utf-8")
+    assert "n_base = 256" in quick
+    (folder / "quick.toml").write_text(quick.replace("n_base = 256", "n_base = 16"), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _short(profiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("studies.profile.PROFILE_FOLDER", profiles)
+
+
+@pytest.fixture(scope="module")
+def first(profiles: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     """What a newcomer gets from one command."""
     root = tmp_path_factory.mktemp("project")
-    profile = (REPOSITORY / "studies" / "profiles" / "quick.toml").read_text(encoding="utf-8")
-    assert "n_base = 256" in profile
-    (root / "quick.toml").write_text(profile.replace("n_base = 256", "n_base = 16"), encoding="utf-8")
     (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     shutil.copytree(REPOSITORY / "fmus" / "office", root / "fmus" / "office")
     (root / "data" / "office").mkdir(parents=True)
     for file in (REPOSITORY / "data" / "office").glob("*.csv"):
         shutil.copy(file, root / "data" / "office")
-    return run(root)
+    return run(root, profiles)
 
 
 def test_it_takes_minutes_and_leaves_everything_behind(first: Done) -> None:
@@ -117,8 +130,8 @@ def test_the_office_is_calibrated_close_to_the_best_known_error(first: Done) -> 
     assert min(errors) >= 0.999 * BEST_MSE
 
 
-def test_a_second_run_does_nothing_twice(first: Done) -> None:
-    again = run(first.project)
+def test_a_second_run_does_nothing_twice(first: Done, profiles: Path) -> None:
+    again = run(first.project, profiles)
     assert all(stage["finished_before"] for stage in again.document["stages"][1:])
     assert [c["mse"] for c in again.calibrations] == [c["mse"] for c in first.calibrations]
 

@@ -38,6 +38,8 @@ def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: Project
     n_before = len(study.trials)
     assert n_before == N_TUNED + 4
 
+    tune([spec], paths=copied, n_trials=n_before + 2, n_jobs=1, until_s=0.0)
+    Worker(copied, spec.name).run()  # in this process: another one's start takes seconds
     (found,) = tune([spec], paths=copied, n_trials=n_before + 2, n_jobs=1)
 
     trials = study.get_trials()
