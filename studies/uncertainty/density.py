@@ -17,11 +17,8 @@ from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
 from studies.calibration.residual_kernel import CONSTANT, between
 from studies.calibration.residual_process import ResidualProcess
+from studies.uncertainty.identifiability import BOX_PRECISION
 from studies.uncertainty.noise import Noise
-
-# One over the variance of an even density on [0, 1], which is 1/12.
-BOX_PRECISION = 12.0
-"""Of a coordinate that may be anywhere between 0 and 1."""
 
 # Memory then does not grow with the points asked: a block's covariances with 400 rows take 1.6 MB.
 BLOCK = 512
