@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from simulation.foreign_text import has_control, shortened
-from simulation.parameters import Belief, Parameter
+from simulation.parameters import Belief, Parameter, Scale
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
 from simulation.timestamps import zone_named
 
@@ -239,7 +239,7 @@ class ParameterTable(Table):
     lower: Finite
     upper: Finite
     unit: str = "1"
-    scale: Literal["linear", "log"] = "linear"
+    scale: Scale = "linear"
     description: str = ""
     prior: PriorTable | None = None
 

@@ -28,8 +28,6 @@ class CountingModel(WrappedModel):
             model: The model to ask.
             budget: Most rows that may ever be asked for; None for no limit.
         """
-        if budget is not None and budget < 0:
-            raise ValueError(f"budget is {budget}; give a number of rows, at least 0")
         super().__init__(model)
         self.budget = budget
         self.n_calls = 0

@@ -167,10 +167,8 @@ class Trajectories:
             All rows, in order.
 
         Raises:
-            ValueError: If there is no batch or the batches differ in names or times.
+            ValueError: If there is no batch, or the batches differ in names or times.
         """
-        if not parts:
-            raise ValueError("there is nothing to concatenate")
         first, *others = parts
         for part in others:
             are_named = [(one.parameter_names, one.output_names) for one in (first, part)]

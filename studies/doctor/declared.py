@@ -8,7 +8,6 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
 from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
-from simulation.parameters import ParameterSpace
 from simulation.time_unit import DAY_S, period_text, unit_for
 from studies.calibration.prior import Prior
 from studies.doctor.finding import LONGEST, Finding, finding, named
@@ -113,13 +112,6 @@ def unit_problem(values: FloatArray, unit: str) -> str:
     if unit in ("degC", "°C") and LIKE_KELVIN[0] < low and high < LIKE_KELVIN[1]:
         return f"{span} is very hot: rather K"
     return ""
-
-
-def base_point(space: ParameterSpace) -> FloatArray:
-    """Return the estimates, the middle of the bounds where there is none. Shape (p,). [per parameter]."""
-    middle = space.from_unit(np.full(space.n_parameters, 0.5))
-    estimates = [parameter.estimate for parameter in space.parameters]
-    return np.array([m if e is None else e for e, m in zip(estimates, middle, strict=True)])
 
 
 def _fmu(case: Case) -> Finding:

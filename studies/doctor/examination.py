@@ -18,7 +18,7 @@ from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
 from studies.circumstances import RestartModel
 from studies.console import format_seconds
-from studies.doctor.declared import base_point, look_at_data, look_at_declaration
+from studies.doctor.declared import look_at_data, look_at_declaration
 from studies.doctor.finding import Diagnosis, Finding, finding, named
 from studies.doctor.storing import StoringModel
 from studies.doctor.time_budget import TimeBudget
@@ -57,7 +57,7 @@ class _Examination:
 
     def __init__(self, study: Study, *, is_thorough: bool) -> None:
         self._study, self._case, self._space = study, study.case, study.case.parameter_space
-        self._base, policy = base_point(self._space), study.case.policy
+        self._base, policy = self._space.expected, study.case.policy
         n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
         self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s)
 

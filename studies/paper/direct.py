@@ -14,7 +14,6 @@ from threading import Event
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import TypeAdapter
 from scipy.optimize import Bounds, differential_evolution, least_squares, minimize
 from scipy.special import ndtr, ndtri
 from threadpoolctl import threadpool_limits
@@ -27,6 +26,7 @@ from simulation.parameters import ParameterSpace
 from simulation.pool.pool_model import PoolModel
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
+from studies.stages.saved import rebuilt
 
 Method = Literal["Powell", "Nelder-Mead", "SLSQP", "LS-TRF", "Differential evolution"]
 
@@ -110,7 +110,7 @@ def computed(study: Study, row: Row, folder: Path) -> tuple[Start, ...]:
     }
     digest, stored = digest_of(inputs), read_json(file)
     if stored is not None and stored.get("digest") == digest:
-        return TypeAdapter(tuple[Start, ...]).validate_python(stored["starts"])
+        return tuple(rebuilt(Start, one, str(file)) for one in stored["starts"])
     points, stop = start_points(case.parameter_space, row), Event()
     with ExitStack() as opened:
         models = Queue[PoolModel]()

@@ -32,6 +32,7 @@ from studies.report.drawing import (
 from studies.report.wording import axis_label, count, squared
 from studies.stages.calibrate_stage import calibrate_stage
 from studies.stages.pipeline import Study
+from studies.stages.saved import Error
 
 COLUMNS = (
     "n_train", "seeds", "test MAE", "MSE surrogate", "MSE screened", "polish calls", "final MSE", "calls",
@@ -45,7 +46,7 @@ COLUMNS = (
 class SeedCalibration:
     """One calibration: a training design, a surrogate, a screening and two polishes from the same point.
 
-    An MSE that is None could not be simulated. [first output's unit squared]
+    An MSE that is infinite could not be simulated. [first output's unit squared]
 
     Args:
         seed: of the training design, the training and the screening.
@@ -71,16 +72,16 @@ class SeedCalibration:
     test_mae: float
     test_p90: float
     training_s: float
-    mse_surrogate: float | None
-    mse_screened: float | None
+    mse_surrogate: Error
+    mse_screened: Error
     n_checks: int
     polish_calls: tuple[int, ...]
-    polish_mse: tuple[float, ...]
+    polish_mse: tuple[Error, ...]
     n_polish: int
-    mse_polished: float | None
+    mse_polished: Error
     stop_reason: str
     squared_calls: int
-    squared_mse: float | None
+    squared_mse: Error
     theta: dict[str, float]
 
     @property
@@ -173,22 +174,18 @@ def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibratio
         test_mae=screened.errors["test/mae"],
         test_p90=screened.errors["test/p90"],
         training_s=round(training_s, 1),
-        mse_surrogate=_plain(screened.mse_surrogate),
-        mse_screened=_plain(screened.mse),
+        mse_surrogate=screened.mse_surrogate,
+        mse_screened=screened.mse,
         n_checks=found.ledger["n_screen_checks"],
         polish_calls=tuple((found.history_calls - n_train).tolist()),
         polish_mse=tuple(found.history_mse.tolist()),
         n_polish=found.ledger["n_polish"],
-        mse_polished=_plain(found.mse),
+        mse_polished=found.mse,
         stop_reason=found.stop_reason,
         squared_calls=squared_polish.n_calls,
-        squared_mse=_plain(squared_polish.mse),
+        squared_mse=squared_polish.mse,
         theta=found.theta,
     )
-
-
-def _plain(mse: float) -> float | None:
-    return mse if np.isfinite(mse) else None
 
 
 def paper_polish(study: Study, screened: FloatArray) -> PolishResult:
@@ -231,10 +228,10 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Shown:
 def _row(origin: Origin, size: SizeCalibrations) -> tuple[float | None, ...]:
     n, paper = size.n_train, TABLE_4.get(size.n_train)
 
-    def all_of(value: Callable[[SeedCalibration], float | None]) -> FloatArray:
-        return np.array([_known(value(one)) for one in size.calibrations])
+    def all_of(value: Callable[[SeedCalibration], float]) -> FloatArray:
+        return np.array([value(one) for one in size.calibrations])
 
-    def middle(value: Callable[[SeedCalibration], float | None]) -> float:
+    def middle(value: Callable[[SeedCalibration], float]) -> float:
         return quartiles(all_of(value))[1]
 
     low, to_usual, high = quartiles(all_of(lambda one: n + one.calls_to(USUAL_MSE)))
@@ -271,10 +268,6 @@ def quartiles(values: FloatArray) -> list[float]:
     return found
 
 
-def _known(value: float | None) -> float:
-    return np.inf if value is None else value
-
-
 def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Figure:
     """Show the gap at the screened point by size, and the MSE over the calls of the polish: one seed."""
     colors = size_colors([size.n_train for size in sizes])
@@ -282,7 +275,7 @@ def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Figure:
     gaps, polishes = [*lines], [*lines]
     for size in sizes:
         name, color, one = f"n = {count(size.n_train)}", colors[size.n_train], size.calibrations[0]
-        place, ends = [str(size.n_train)], [_known(one.mse_surrogate), _known(one.mse_screened)]
+        place, ends = [str(size.n_train)], [one.mse_surrogate, one.mse_screened]
         gaps += [
             Series(f"{name}, gap", FAINT, place * 2, ends, style={"strokeWidth": 4}, is_named=False),
             Series(f"{name}, model", color, place, ends[1:], "point", DIAMOND, is_named=False),

@@ -1,16 +1,15 @@
 """One JSON file per finished unit (a training-set size, a row of Table 3), from which an item is drawn."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
-
-from pydantic import TypeAdapter, ValidationError
 
 from simulation.errors import InputError
 from studies.paper.plan import Plan
 from studies.paths import size_name
 from studies.report.wording import difference_unit
 from studies.stages.pipeline import Study, read_json, write_json
+from studies.stages.saved import plain, rebuilt
 from studies.tracking.origin import versions
 
 SCHEMA = 1
@@ -79,8 +78,8 @@ def origin_of(plan: Plan, study: Study, item: str) -> Origin:
 
 
 def write_size(folder: Path, origin: Origin, n_train: int, size: Any) -> None:
-    """Write what was found of one training-set size, a dataclass of JSON values."""
-    content = {"schema": SCHEMA, "origin": asdict(origin), "size": asdict(size)}
+    """Write what was found of one training-set size, a dataclass."""
+    content = {"schema": SCHEMA, "origin": plain(origin), "size": plain(size)}
     write_json(folder / f"{size_name(n_train)}.json", content)
 
 
@@ -125,11 +124,4 @@ def _read(file: Path, kind: type[Unit]) -> tuple[Origin, Unit]:
     content = read_json(file)
     if content is None or content.get("schema") != SCHEMA:
         raise InputError(f"{file} holds no results of this item as this version writes them")
-    try:
-        origin = TypeAdapter(Origin).validate_python(content.get("origin"))
-        return origin, TypeAdapter(kind).validate_python(content.get("size"))
-    except ValidationError as error:
-        where = ".".join(map(str, error.errors()[0]["loc"]))
-        raise InputError(
-            f"{file} holds no results of this item as this version writes them: {where}"
-        ) from None
+    return rebuilt(Origin, content.get("origin"), str(file)), rebuilt(kind, content.get("size"), str(file))

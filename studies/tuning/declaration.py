@@ -3,7 +3,6 @@
 Any worker, on any machine of the project, can go on with a study from its name alone.
 """
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pelsvae.config import SurrogateConfig
+from simulation.arrays import digest_of
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, size_name
 from studies.search_space import STRICT, SearchParameter, SearchSpace, default_point
@@ -88,7 +88,7 @@ class Declaration:
         # What changes no trial is left out: another label or place of the files must not begin a new study.
         idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
         decisive = {name: value for name, value in self.to_dict().items() if name not in idle}
-        return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
+        return digest_of(json.dumps(decisive, sort_keys=True))
 
     @property
     def name(self) -> str:

@@ -12,7 +12,7 @@ from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.uncertainty.density import Posterior
 from studies.uncertainty.emulator import sample_with
-from studies.uncertainty.findings import LEVEL
+from studies.uncertainty.findings import ENDS
 from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
 from studies.uncertainty.noise import Noise
 from studies.uncertainty.rows import joined
@@ -22,7 +22,7 @@ STEP = 0.01
 """Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
 
 Z = 1.6448536269514722
-"""Quantile of the normal distribution at the upper end of an interval of `LEVEL`."""
+"""Quantile of the normal distribution at the upper end of an interval, `ENDS`."""
 
 OnPhase = Callable[[str, int, int], None]
 """Called with the name of a phase, the rows asked in it and the most that it may ask."""
@@ -64,7 +64,7 @@ class Assessment:
     def interval(self) -> FloatArray:
         """Ends and median of the posterior's intervals: low, median, high. Shape (3, p). [1]."""
         # Of particles, not of the simulated members: of 48, two or three lie beyond an end of the interval.
-        shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
+        shares = ENDS[0], 0.5, ENDS[1]
         return np.asarray(np.quantile(self.sample.particles, shares, axis=0), dtype=np.float64)
 
 

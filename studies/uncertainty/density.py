@@ -15,13 +15,10 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
-from studies.calibration.residual_kernel import CONSTANT
+from studies.calibration.residual_kernel import CONSTANT, between
 from studies.calibration.residual_process import ResidualProcess
+from studies.uncertainty.identifiability import BOX_PRECISION
 from studies.uncertainty.noise import Noise
-
-# One over the variance of an even density on [0, 1], which is 1/12.
-BOX_PRECISION = 12.0
-"""Of a coordinate that may be anywhere between 0 and 1."""
 
 # Memory then does not grow with the points asked: a block's covariances with 400 rows take 1.6 MB.
 BLOCK = 512
@@ -109,10 +106,6 @@ class Predicted:
     def __init__(self, process: ResidualProcess) -> None:
         """Prepare what does not depend on the points."""
         self._process = process
-        self._weights = np.exp(-2.0 * process.hyper[:-2])
-        self._slope = float(np.exp(2.0 * process.hyper[-2]))
-        self._known = process.x * np.sqrt(self._weights)
-        self._known_squares = np.sum(self._known**2, axis=1)
         # L^-1 r: as the amplitude is profiled out, its most probable value S is r' K^-1 r / n.
         whitened = np.linalg.solve(process.inverse_factor.T, process.coefficients)
         # In the eigenvectors of S the residuals are independent, so the likelihood is a product.
@@ -132,14 +125,12 @@ class Predicted:
             Their mean in the eigenvectors of S, and the variance v. Shape (n, r) and (n,). [unit], [1]
         """
         process = self._process
-        x = process.features.at(u) * np.sqrt(self._weights)
-        # |a|² + |b|² - 2 a.b takes one matrix product, no array of differences; rounding may take it below 0.
-        products, squares = x @ self._known.T, np.sum(x**2, axis=1)
-        distances = np.maximum(squares[:, None] + self._known_squares - 2.0 * products, 0.0)
-        k = CONSTANT + np.exp(-0.5 * distances) + self._slope * products
+        x, hyper = process.features.at(u), process.hyper
+        k = between(x, process.x, hyper)
         explained = np.sum((k @ process.inverse_factor.T) ** 2, axis=1)
+        own = CONSTANT + 1.0 + np.sum((np.exp(hyper[-2] - hyper[:-2]) * x) ** 2, axis=1)
         # At a stored row equal numbers are subtracted: rounding must not leave a negative variance.
-        variance = np.maximum(CONSTANT + 1.0 + self._slope * squares - explained, 0.0)
+        variance = np.maximum(own - explained, 0.0)
         return self._level + k @ self._coefficients, variance
 
     def metric(self, u: FloatArray, deviation: float) -> FloatArray:
@@ -152,13 +143,7 @@ class Predicted:
         Returns:
             Shape (n, p, p). [1]
         """
-        process = self._process
-        features = process.features
-        x = features.at(u)
-        away = x[:, None, :] - process.x
-        bumps = np.exp(-0.5 * (away**2) @ self._weights)
-        by_feature = (self._slope * process.x - bumps[:, :, None] * away) * self._weights
-        by_u = np.stack([features.pull_back(point, one) for point, one in zip(u, by_feature, strict=True)])
+        by_u = np.stack([self._process.kernels(point)[1] for point in u])
         _, variance = self.residuals(u)
         # Where the process is unsure its slopes count less, as if the noise were larger there.
         roots = np.sqrt(deviation**2 + variance[:, None] * self._shared)

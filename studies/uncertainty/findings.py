@@ -14,6 +14,9 @@ from studies.calibration.prior import Prior
 LEVEL = 0.9
 """Probability of intervals and bands."""
 
+ENDS = 0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL
+"""Shares of the probability below the two ends of an interval."""
+
 DETERMINED, OPEN = 0.33, 0.7
 """Widths of an interval, as shares of the range where nothing was known before: below the first the data
 determine a parameter, above the second they say next to nothing (0.9 is the width without any data)."""
@@ -112,7 +115,7 @@ def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) 
         u: A posterior sample. Shape (n, p). [1]
         prior: What was known beforehand, or None.
     """
-    low, high = np.quantile(u, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
+    low, high = np.quantile(u, ENDS, axis=0)
     found = {}
     for j, name in enumerate(space.names):
         # Against the interval without data: else a narrow prior alone would make a parameter determined.
@@ -130,11 +133,10 @@ def _width(centre: float, deviation: float) -> float:
     normal = NormalDist(centre, deviation)
     # Quantiles of a truncated normal distribution: ranks are counted between the bounds alone.
     least, most = normal.cdf(0.0), normal.cdf(1.0)
-    ends = (least + (most - least) * share for share in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL))
-    low, high = (normal.inv_cdf(end) for end in ends)
+    low, high = (normal.inv_cdf(least + (most - least) * share) for share in ENDS)
     return high - low
 
 
 def _half(x: FloatArray) -> float:
-    low, high = np.quantile(x, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    low, high = np.quantile(x, ENDS)
     return 0.5 * float(high - low)

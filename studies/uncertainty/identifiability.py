@@ -25,7 +25,8 @@ A_PAIR = 0.7
 NULL, NULL_PER_STEP = 1e-6, 5e-3
 """Singular values below this share of the largest are none: the differences are no more exact."""
 
-BOX_VARIANCE = 1.0 / 12.0
+# One over the variance of an even density on [0, 1], which is 1/12.
+BOX_PRECISION = 12.0
 """Of a parameter that may be anywhere in its range."""
 
 
@@ -80,7 +81,7 @@ class Identifiability:
     def determined(self) -> tuple[str, ...]:
         """Parameters that the data determine."""
         # Without a prior `before` is the root of 1/12, so this is a tenth of the range.
-        limit = DETERMINED / np.sqrt(BOX_VARIANCE) * self.before
+        limit = DETERMINED * np.sqrt(BOX_PRECISION) * self.before
         return tuple(n for n, is_so in zip(self.names, self.spread < limit, strict=True) if is_so)
 
     @property
@@ -183,8 +184,8 @@ def judged_slopes(
     # Those directions have singular value 0.
     values = np.pad(values, (0, p - len(values)))
     # From the singular values: J'J itself would square the condition of J and lose the open directions.
-    covariance = (directions.T / ((values / raised) ** 2 + 1.0 / BOX_VARIANCE)) @ directions
-    known = np.full(p, 1.0 / BOX_VARIANCE)
+    covariance = (directions.T / ((values / raised) ** 2 + BOX_PRECISION)) @ directions
+    known = np.full(p, BOX_PRECISION)
     if prior is not None:
         known = known + prior.width**-2.0
         # Precisions of independent knowledge add up; thanks to the box neither inverse is singular.

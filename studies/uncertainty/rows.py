@@ -60,13 +60,9 @@ def informative_rows(u: FloatArray, log_density: FloatArray, n_known: int | None
 
 def joined(parts: list[Evaluation]) -> Evaluation:
     """Return evaluations as one."""
+    arrays = ("u", "theta", "y", "residuals", "mse", "objective")
     return Evaluation(
-        u=np.concatenate([part.u for part in parts]),
-        theta=np.concatenate([part.theta for part in parts]),
-        y=np.concatenate([part.y for part in parts]),
-        residuals=np.concatenate([part.residuals for part in parts]),
-        mse=np.concatenate([part.mse for part in parts]),
-        objective=np.concatenate([part.objective for part in parts]),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays},
         failures=tuple(failure for part in parts for failure in part.failures),
     )
 

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from simulation.arrays import FloatArray
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.residual_process import Features, ResidualProcess
-from studies.uncertainty.annealing import Reference, sample_density
+from studies.uncertainty.annealing import Density, Reference, sample_density
 from studies.uncertainty.density import Posterior, Predicted
 from studies.uncertainty.rows import informative_rows, joined, log_success
 from studies.uncertainty.weights import effective_size, normalized
@@ -116,7 +116,6 @@ class PosteriorSample:
 
 
 OnCalls = Callable[[int], None]
-LogDensity = Callable[[FloatArray], FloatArray]
 
 
 class Expected(Protocol):
@@ -214,7 +213,7 @@ class PosteriorSampler:
         precision = self._posterior.precision(predicted.metric(centres, raised), wider=WIDER)
         return expected, Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
 
-    def _particles(self, expected: LogDensity, around: Reference, n_particles: int) -> FloatArray:
+    def _particles(self, expected: Density, around: Reference, n_particles: int) -> FloatArray:
         """Sample a density by so many particles, with a seed of their own."""
         seed = int(self._rng.integers(2**31))
         return sample_density(expected, around, seed=seed, n_particles=n_particles)
@@ -240,7 +239,7 @@ class PosteriorSampler:
         """Whether the calls that are left allow a sample of two batches."""
         return self._settings.max_calls - self.n_calls >= 2 * self._settings.n_batch
 
-    def _simulate(self, expected: LogDensity, particles: FloatArray) -> tuple[Evaluation, FloatArray, bool]:
+    def _simulate(self, expected: Density, particles: FloatArray) -> tuple[Evaluation, FloatArray, bool]:
         """Simulate particles as long as the model agrees.
 
         Args:

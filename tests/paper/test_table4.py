@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 from studies.paper import fig7, table4
 from studies.paper.published import TABLE_4
 from studies.paper.table4 import SeedCalibration, SizeCalibrations, quartiles, shown
+from studies.paper.unit_files import read_sizes, write_size
 from studies.report.wording import count, significant
 
 DOCUMENTATION = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
@@ -26,11 +28,14 @@ def calibration(seed: int, calls: int | None) -> SeedCalibration:
     )  # fmt: skip
 
 
-def row_of(*calibrations: SeedCalibration) -> dict[str, Any]:
-    size = SizeCalibrations(
+def size_of(*calibrations: SeedCalibration) -> SizeCalibrations:
+    return SizeCalibrations(
         32, "refined", {"n_latent": 8}, (8.0, 16.0), {"popsize": 8}, 400, (), calibrations
     )
-    result = shown(ORIGIN, [size])
+
+
+def row_of(*calibrations: SeedCalibration) -> dict[str, Any]:
+    result = shown(ORIGIN, [size_of(*calibrations)])
     return dict(zip(result.columns, result.rows[0], strict=True))
 
 
@@ -41,9 +46,14 @@ def test_a_target_that_is_never_reached_makes_a_quartile_infinite_and_no_other()
     assert row["calls, validation and test too"] == row["calls"] + 640
 
 
-def test_what_could_not_be_simulated_is_infinite() -> None:
-    failed = replace(calibration(0, None), mse_screened=None, mse_polished=None, squared_mse=None)
-    assert row_of(failed)["final MSE"] == np.inf
+def test_what_could_not_be_simulated_is_infinite_and_null_in_the_file(tmp_path: Path) -> None:
+    never = {"mse_screened": np.inf, "mse_polished": np.inf, "squared_mse": np.inf}
+    failed = replace(calibration(0, None), **never, polish_mse=(np.inf,) * 3)
+    write_size(tmp_path, ORIGIN, 32, size_of(failed))
+    assert "Infinity" not in (tmp_path / "n0032.json").read_text()
+    _, (size,) = read_sizes(tmp_path, SizeCalibrations, "calibrations")
+    assert size == size_of(failed)
+    assert row_of(*size.calibrations)["final MSE"] == np.inf
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 10])
