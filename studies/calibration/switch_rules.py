@@ -24,6 +24,8 @@ MEETS = 1e-4
 # By how much of its deviation over time a threshold may differ between the changes
 # of a row, and a waiting time relative to itself.
 SAME_VALUE, SAME_TIME = 1e-4, 1e-5
+# Deviation of a state that hardly moves, as a share of its size.
+AT_REST = 1e-9
 # So many changes of a row are looked at.
 MOST_CHANGES = 40
 
@@ -171,8 +173,17 @@ def _located(
         here = states(old[step], inputs, length_s)[1] - states(new[step], inputs, length_s)[1]
         return np.asarray(here * weight)
 
-    # The solutions drift apart nearly evenly, so that along their way apart there is one root.
-    after_s = brentq(lambda length_s: float(apart_after(length_s) @ along), 0.0, step_s, xtol=1e-9 * step_s)
+    def along_after(length_s: float) -> float:
+        return float(apart_after(length_s) @ along)
+
+    # The solutions drift apart nearly evenly, so that along their way apart there is one root, which
+    # rounding may put beyond an end.
+    if along_after(0.0) >= 0.0:
+        after_s = 0.0
+    elif along_after(step_s) <= 0.0:
+        after_s = step_s
+    else:
+        after_s = brentq(along_after, 0.0, step_s, xtol=1e-9 * step_s)
     if np.linalg.norm(apart_after(after_s)) > MEETS * np.linalg.norm(along):
         return None
     return step, after_s, states(old[step], inputs, after_s)[1]
@@ -196,7 +207,8 @@ def _rule(signals: StateSignals, x: FloatArray, changes: Sequence[Sequence[_Chan
             if judged is not None:
                 found.append(judged)
         if found:
-            return min(found, key=lambda one: one[0])[1]
+            # A difference to what is at rest is no better than the state alone.
+            return min(found, key=lambda one: (one[1].less != nothing, one[0]))[1]
     return None
 
 
@@ -210,10 +222,19 @@ def _judged(
     waits: bool,
 ) -> tuple[float, _Rule] | None:
     """Return by how much a threshold differs in rows and the rule, None where there is no such threshold."""
+    if waits:
+        # Whether a change had to wait is not known after one that was not located.
+        changes = [[one for one in row if np.isfinite(one.waited_s)] for row in changes]
     there = [np.array([one.there[value] - one.there[less] for one in row]) for row in changes]
-    moved = [np.array([one.there[value] - one.before[value] for one in row]) for row in changes]
+    moved = [
+        np.array([one.before[less] - one.before[value] for one in row]) + there[n]
+        for n, row in enumerate(changes)
+    ]
     sign = 1 if sum(np.sign(row).sum() for row in moved) >= 0 else -1
     scale = float(np.median(x[..., value].std(axis=1)))
+    # What is at rest has the same value at all changes and at all other times.
+    if scale <= AT_REST * float(np.abs(x[..., value]).max()):
+        return None
     thresholds, shortest = np.full(len(x), np.nan), np.full(len(x), np.nan if waits else 0.0)
     worst, is_tested = 0.0, False
     for n, (shown, row) in enumerate(zip(there, changes, strict=True)):

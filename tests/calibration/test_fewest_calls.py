@@ -61,7 +61,7 @@ def test_calls_are_those_of_the_model():
     assert run.mse == sorted(run.mse, reverse=True)
 
 
-@pytest.mark.parametrize("family", ["office", "wall", "vanderpol", "thermostat", "two basins"])
+@pytest.mark.parametrize("family", ["office", "wall", "vanderpol", "thermostat", "heat pump", "two basins"])
 def test_a_seed_is_one_problem_and_another_seed_another(family):
     def measured(seed):
         (entry,) = [one for one in problems([seed]) if one.name == f"{family}, instance {seed}"]

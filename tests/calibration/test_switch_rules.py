@@ -1,5 +1,6 @@
 """Switches among the states: their positions, when they change, and the equations solved with them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import Sum, Term
 from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
 from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
+from studies.calibration.switch_rules import SwitchRules
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, N_STEPS = 1.0, 40
@@ -73,6 +75,25 @@ def test_a_switch_that_never_comes_to_rest_has_no_solution() -> None:
     )
     assert np.isfinite(found[0, :2]).all()
     assert not np.isfinite(found[0, 2:]).any()
+
+
+def test_thresholds_are_found_from_where_it_turns_and_what_rests_is_none() -> None:
+    two = replace(
+        PLAIN, states=("T", "rest"), derivatives=("", ""), units=("K", "K"), depends_on=(None, None)
+    )
+    tops, x = [3.3, 4.7, 2.9], list[FloatArray]()
+    for top in tops:
+        turns = np.concatenate([[0.0], top + (top + 1.1) * np.arange(20)])
+        heights = saw_tooth(turns, np.array([0.0, *[top, -1.1] * 10]))
+        on = np.searchsorted(turns, STEP_S * np.arange(N_STEPS + 1), side="right") % 2
+        x.append(np.column_stack([heights, np.full(N_STEPS + 1, 7.0), on]))
+    sums = (Sum(0, (Term(2), Term(-1))), Sum(1, (Term(-1),)), Sum(2, (Term(-1),)))
+    rates = [np.tile([2.0, -1.0], (3, 1)), np.zeros((3, 1)), np.zeros((3, 1))]
+    rules = SwitchRules.of(with_switches(two, ["on"]), sums, np.array(x), rates)
+    assert not rules.lacking
+    # From 0 below and from 1 above, the state itself less nothing.
+    assert rules.places.tolist() == [[2, 0, 0, 4, -1], [2, 1, 0, 4, 1]]
+    np.testing.assert_allclose(rules.limits, [[-1.1, top, 0.0, 0.0] for top in tops], atol=1e-8)
 
 
 def test_positions_are_variables_of_two_values_once_each() -> None:
