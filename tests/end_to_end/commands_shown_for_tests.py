@@ -46,6 +46,13 @@ def give_what_commands_name(project: Path) -> None:
         case = project / folder / "case.toml"
         text = case.read_text("utf-8").replace('name = "wall"', f'name = "{name}"')
         case.write_text(text.replace('"../../data/wall"', f'"{project / "data" / name}"'), "utf-8")
+    office = ROOT / "data" / "office"
+    occupancy = dict(
+        row.split(",") for row in (office / "occupancy_600s.csv").read_text("utf-8").splitlines()
+    )
+    rows = (office / "recording_1800s.csv").read_text("utf-8").splitlines()
+    winter = "".join(f"{row},{occupancy[row.partition(',')[0]]}\n" for row in rows)
+    (project / "next-winter.csv").write_text(winter, "utf-8")
     profile = (ROOT / "studies" / "profiles" / "quick.toml").read_text("utf-8")
     small = profile.replace("[32, 64, 128, 256, 512]", "[32]").replace("n_trials = 16", "n_trials = 2")
     for name, surrogate in (("my", "refined"), ("refined", "refined"), ("pca-gp", "pca-gp")):
