@@ -336,7 +336,7 @@ def reference_lines(references: Sequence[KnownError]) -> list[Series]:
     colors = cycle((MUTED, INK, SERIES[2]))
     return [
         Series(
-            f"{significant(known.mse)} {shortened(known.label)}", color, y=[known.mse], mark="rule",
+            f"{significant(known.mse)} {shortened(known.label, 28)}", color, y=[known.mse], mark="rule",
             style={"strokeDash": [5, 3]},
         )
         for known, color in zip(references, colors, strict=False)
