@@ -74,7 +74,7 @@ def results(project: Path) -> dict[str, Any]:
         summary = json.loads((folder / f"{name}.json").read_text())["result"]
         found[name] = {key: value for key, value in summary.items() if key != "n_reused"}
     for study in read_studies(ProjectPaths(project)):
-        kept = ("state", "params", "settings", "value", "metrics", "proposed_by", "n_epochs", "best_epoch",
+        kept = ("state", "params", "value", "metrics", "proposed_by", "n_epochs", "best_epoch",
                 "weights_sha256")  # fmt: skip
         for place, trial in enumerate(study.trials):
             found[f"{study.spec.name}/{place}"] = {key: getattr(trial, key) for key in kept}
