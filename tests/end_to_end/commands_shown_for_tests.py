@@ -18,6 +18,8 @@ WHY_NOT = {
     r"^studies run office --n-train 32 64 --trials 12$": "made this project",
     r"office-recorded|^studies import-recording": "needs the recording; tests/paper and tests/cli use it",
     r"^studies uncertainty( office)?( --noise sensor --max-calls 200| --method paper .*)?$": "takes 20 s",
+    r"^studies reproduce office-quick": "tests/cli reproduce a trial and a calibration",
+    r"--write (fmu|onnx) ": "tests/exports run the page of these lines",
     r"--output TAir": "names variables of an FMU that is not there",
     r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
     r"^studies tune --profile my.toml$": "`--dry-run` reads the profile, and refined.toml is trained",
