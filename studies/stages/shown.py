@@ -54,7 +54,7 @@ def _show_search(study: Study, found: Calibration) -> None:
         if known.is_target:
             reached = found.history.calls_to(known.mse)
             calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
-            study.console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
+            study.console.result(f"{found.error_name} {quantity(known.mse, unit)} ({known.label}): {calls}")
 
 
 def _misfit(study: Study, found: Calibration) -> str:
