@@ -204,6 +204,19 @@ class Measurement:
         differences, loss = self.differences(y, output), self.loss_of(output)
         return np.asarray((differences if loss is None else loss.shrunk(differences)) * self.scales[output])
 
+    def scatter(self, y: FloatArray, output: int) -> FloatArray:
+        """Return what the residuals of one output show of noise: those of squares, or as far as they count.
+
+        Args:
+            y: A good simulation. Shape (t, k). [per output]
+            output: Position of the output.
+
+        Returns:
+            Shape (m_k,). [first output's unit]
+        """
+        differences, loss = self.differences(y[None], output)[0], self.loss_of(output)
+        return np.asarray((differences if loss is None else loss.scatter(differences)) * self.scales[output])
+
     def scaled_differences(self, residuals: FloatArray) -> FloatArray:
         """Return what residuals would be if no output had a robust loss.
 

@@ -51,3 +51,23 @@ class RobustLoss:
             return np.asarray(shrunk * np.hypot(1.0, 0.5 * size / c))
         beyond = 0.5 * (np.maximum(size, c) ** 2 / c + c)
         return np.where(size <= c, shrunk, np.copysign(beyond, shrunk))
+
+    def scatter(self, differences: FloatArray) -> FloatArray:
+        """Return how far differences would scatter that are normal and leave a fit by squares as uncertain.
+
+        The variance of a fit follows from that of psi, half the slope of the loss, and from the mean slope of
+        psi, as in Huber 1964, Eq. 1.
+
+        Args:
+            differences: Those of a good fit. Shape (m,). [output's unit]
+
+        Returns:
+            psi by the root of its mean slope. Shape (m,). [output's unit]
+        """
+        c, share = self.scale, differences / self.scale
+        if self.kind == "soft-l1":
+            psi, slope = differences / np.hypot(1.0, share), np.hypot(1.0, share) ** -3.0
+        else:
+            psi, slope = np.clip(differences, -c, c), np.where(np.abs(share) <= 1.0, 1.0, 0.0)
+        # Where every difference lies beyond the scale, one is thought to lie within.
+        return np.asarray(psi / np.sqrt(max(float(slope.mean()), 1.0 / slope.size)))

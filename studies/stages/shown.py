@@ -60,6 +60,8 @@ def _show_search(study: Study, found: Calibration) -> None:
 def _misfit(study: Study, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
     of_the_step, lacks = found_of_the_step(study), "the model lacks something"
+    if any(study.case.measurement.losses):
+        lacks = f"outliers weigh so much, or {lacks}"
     if of_the_step:
         lacks = f"studies check found that {of_the_step}; else {lacks}"
     elif of_the_step is None and study.case.scenario.inputs_at_edges is None:
