@@ -342,7 +342,7 @@ class ReferenceTable(_WindowTable):
         window_d: begin and end of the window.
         window_s: the same in seconds.
         label: where the error comes from.
-        mse: the mean squared error. [unit²]
+        mse: the mean squared error; where an output has a robust loss, the mean loss. [unit²]
         target: whether calls to this error are counted.
     """
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from problems_for_tests import rc_problem
+from scipy.optimize import least_squares
 
 from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
@@ -12,7 +14,9 @@ from simulation.measurement import Measurement
 from simulation.robust_loss import LossKind, RobustLoss
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.learned_ode import LearnedODE
+from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.states import StateSignals, WatchedModel, watching_states
 from studies.uncertainty.identifiability import judged_slopes
 from studies.uncertainty.noise import noise_of
@@ -96,3 +100,24 @@ def test_the_likelihood_is_as_wide_as_robust_means_scatter(kind: LossKind) -> No
         below, at, above = noise.log_likelihood(measurement.mse(beside))
         widths.append(step / np.sqrt(2.0 * at - below - above))
     assert np.median(widths) == pytest.approx(means.std(), rel=0.05)
+
+
+@pytest.mark.parametrize(("kind", "scipys"), [("huber", "huber"), ("soft-l1", "soft_l1")])
+def test_every_method_finds_the_point_of_scipys_robust_least_squares(kind: LossKind, scipys: str) -> None:
+    clean = rc_problem(noise=0.1)
+    plain = replace(clean, measurement=with_outliers(clean.measurement, 0))
+    robust = replace(plain, measurement=replace(plain.measurement, losses=(RobustLoss(kind, 0.2),)))
+    start = np.array([0.4, 0.6])
+    expected = least_squares(
+        lambda u: plain.residuals(u)[0], start, bounds=(0.0, 1.0), loss=scipys, f_scale=0.2, xtol=1e-12
+    )
+    assert np.abs(expected.x - LeastSquaresTRF().minimize(plain, start).u).max() > 0.01
+    mean_loss = 2.0 * expected.cost / robust.measurement.n_samples
+    # The error is flat around its least value: points differ by more than errors.
+    for found, tolerance in (
+        (LeastSquaresTRF(ftol=1e-12).minimize(robust, start), 1e-5),
+        (DifferentialEvolution().minimize(robust, seed=0), 1e-3),
+        (Adaptive(max_calls=60).minimize(robust, seed=0), 1e-2),
+    ):
+        np.testing.assert_allclose(found.u, expected.x, atol=tolerance)
+        assert found.mse == pytest.approx(mean_loss, rel=1e-3)
