@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter, Scale
+from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
 from simulation.timestamps import zone_named
 
@@ -182,6 +183,9 @@ class OutputTable(Table):
         uncertainty: standard uncertainty of the sensor. [unit]
         error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated.
         weight: share of the error relative to the other outputs. [1]
+        loss: how differences count: their squares, or less where they are large, against outliers.
+        loss_scale: difference from which on a robust loss counts less; without it, twice the uncertainty.
+            [unit]
         accepted: band outside of which a simulation has failed. [unit]
     """
 
@@ -193,6 +197,8 @@ class OutputTable(Table):
     uncertainty: Positive
     error_lasts_s: Positive | None = None
     weight: Positive = 1.0
+    loss: Literal["squares"] | LossKind = "squares"
+    loss_scale: Positive | None = None
     accepted: Pair | None = None
 
     @model_validator(mode="after")
@@ -201,6 +207,19 @@ class OutputTable(Table):
             low, high = self.accepted
             raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
         return self
+
+    @model_validator(mode="after")
+    def _scale_has_a_loss(self) -> Self:
+        if self.loss_scale is not None and self.loss == "squares":
+            raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
+        return self
+
+    @property
+    def robust_loss(self) -> RobustLoss | None:
+        """The robust loss, None for squares."""
+        if self.loss == "squares":
+            return None
+        return RobustLoss(self.loss, self.loss_scale or USUAL_SCALE * self.uncertainty)
 
 
 class PriorTable(Table):
@@ -323,7 +342,7 @@ class ReferenceTable(_WindowTable):
         window_d: begin and end of the window.
         window_s: the same in seconds.
         label: where the error comes from.
-        mse: the mean squared error. [unit²]
+        mse: the mean squared error; where an output has a robust loss, the mean loss. [unit²]
         target: whether calls to this error are counted.
     """
 

@@ -176,6 +176,7 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
         uncertainty=np.array([table.uncertainty for table in file.outputs]),
         weights=np.array([table.weight for table in file.outputs]),
         lasts_s=np.array([table.error_lasts_s or 0.0 for table in file.outputs]),
+        losses=tuple(table.robust_loss for table in file.outputs),
     )
 
 

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray, digest_of
+from simulation.robust_loss import RobustLoss
 
 # A sample this close to an output time, as a share of the output step, lies on it.
 _ON_GRID = 1e-6
@@ -46,6 +47,8 @@ class Measurement:
     in the first output's unit squared: every output has the same say per weight, however often it was
     sampled.
     For one output, or outputs sampled alike with weights of 1, this is the mean of all squared residuals.
+    For an output with a robust loss, the square of the difference is replaced by its loss: the error is then
+    a mean loss.
 
     Attributes:
         time: Output times. Shape (t,). [s]
@@ -55,6 +58,7 @@ class Measurement:
         weights: Share of the MSE that each output has, relative to the others. Shape (k,). [1]
         lasts_s: How long an error of each output lasts, None where that is not known: it decides how much a
             prior weighs, and no error. Shape (k,). [s]
+        losses: Robust loss of each output, None for squares; empty for squares throughout.
     """
 
     time: FloatArray
@@ -63,13 +67,15 @@ class Measurement:
     uncertainty: FloatArray
     weights: FloatArray
     lasts_s: FloatArray | None = None
+    losses: tuple[RobustLoss | None, ...] = ()
 
     def __post_init__(self) -> None:
         n_outputs = len(self.output_names)
-        if {len(self.samples), *self.uncertainty.shape, *self.weights.shape} != {n_outputs}:
+        n_losses = len(self.losses) or n_outputs
+        if {len(self.samples), *self.uncertainty.shape, *self.weights.shape, n_losses} != {n_outputs}:
             raise ValueError(
-                f"{len(self.samples)} series of samples, uncertainty {self.uncertainty.shape} and weights "
-                f"{self.weights.shape} do not fit {n_outputs} outputs"
+                f"{len(self.samples)} series of samples, uncertainty {self.uncertainty.shape}, weights "
+                f"{self.weights.shape} and {n_losses} losses do not fit {n_outputs} outputs"
             )
         # An uncertainty that is not known is infinite or NaN.
         if (self.uncertainty <= 0.0).any():
@@ -134,6 +140,11 @@ class Measurement:
         return np.zeros(len(self.samples)) if self.lasts_s is None else self.lasts_s
 
     @property
+    def error_name(self) -> str:
+        """What the error is: "MSE", or "mean loss" where an output has a robust loss."""
+        return "mean loss" if any(self.losses) else "MSE"
+
+    @property
     def n_samples(self) -> int:
         """Number of residuals that a comparison has."""
         return sum(len(one.time) for one in self.samples)
@@ -176,6 +187,54 @@ class Measurement:
             simulated += series[:, place.after] * place.share
         return np.asarray(simulated - self.samples[output].values)
 
+    def loss_of(self, output: int) -> RobustLoss | None:
+        """Return the robust loss of an output, None for squares."""
+        return self.losses[output] if self.losses else None
+
+    def residuals(self, y: FloatArray, output: int) -> FloatArray:
+        """Return the residuals of one output: differences as its loss counts them, scaled.
+
+        Args:
+            y: Simulated outputs. Shape (n, t, k). [per output]
+            output: Position of the output.
+
+        Returns:
+            Shape (n, m_k). [first output's unit]
+        """
+        differences, loss = self.differences(y, output), self.loss_of(output)
+        return np.asarray((differences if loss is None else loss.shrunk(differences)) * self.scales[output])
+
+    def scatter(self, y: FloatArray, output: int) -> FloatArray:
+        """Return what the residuals of one output show of noise: those of squares, or as far as they count.
+
+        Args:
+            y: A good simulation. Shape (t, k). [per output]
+            output: Position of the output.
+
+        Returns:
+            Shape (m_k,). [first output's unit]
+        """
+        differences, loss = self.differences(y[None], output)[0], self.loss_of(output)
+        return np.asarray((differences if loss is None else loss.scatter(differences)) * self.scales[output])
+
+    def scaled_differences(self, residuals: FloatArray) -> FloatArray:
+        """Return what residuals would be if no output had a robust loss.
+
+        Args:
+            residuals: As `compared` returns them. Shape (..., n_samples). [first output's unit]
+
+        Returns:
+            Shape as they have. [first output's unit]
+        """
+        if not any(self.losses):
+            return residuals
+        plain = residuals.copy()
+        for k, loss in enumerate(self.losses):
+            if loss is not None:
+                of, scale = self._output_of == k, self.scales[k]
+                plain[..., of] = scale * loss.grown(residuals[..., of] / scale)
+        return plain
+
     def compared(self, y: FloatArray) -> FloatArray:
         """Return the residuals, simulated minus measured, in the order of time.
 
@@ -183,16 +242,16 @@ class Measurement:
             y: Simulated outputs. Shape (n, t, k). [per output]
 
         Returns:
-            Scaled differences; the mean of their squares is the MSE. Shape (n, n_samples).
-                [first output's unit]
+            Scaled differences, as the losses count them; the mean of their squares is the MSE or the mean
+            loss. Shape (n, n_samples). [first output's unit]
         """
-        parts = [self.differences(y, k) * self.scales[k] for k in range(len(self.samples))]
+        parts = [self.residuals(y, k) for k in range(len(self.samples))]
         joined = parts[0] if len(parts) == 1 else np.take(np.concatenate(parts, axis=1), self._order, axis=1)
         # The sum of a row must not depend on the other rows, not in its last digit.
         return np.ascontiguousarray(joined)
 
     def mse(self, y: FloatArray) -> FloatArray:
-        """Return the mean squared error of every row, infinite where it is not finite.
+        """Return the mean squared error or mean loss of every row, infinite where it is not finite.
 
         Args:
             y: Simulated outputs. Shape (n, t, k). [per output]
@@ -210,8 +269,17 @@ class Measurement:
     def _order(self) -> IntArray:
         """Order of the residuals: by time, then by output."""
         times = np.concatenate([one.time for one in self.samples])
-        outputs = np.repeat(np.arange(len(self.samples)), [len(one.time) for one in self.samples])
-        return np.lexsort((outputs, times))
+        return np.lexsort((self._by_output, times))
+
+    @property
+    def _by_output(self) -> IntArray:
+        """Output of each sample, one output after the other."""
+        return np.repeat(np.arange(len(self.samples)), [len(one.time) for one in self.samples])
+
+    @property
+    def _output_of(self) -> IntArray:
+        """Output of each residual."""
+        return np.asarray(self._by_output[self._order])
 
     @cached_property
     def digest(self) -> str:
@@ -222,7 +290,8 @@ class Measurement:
         # Samples on the output times are in y.
         if any((place.share % 1.0).any() for place in self._places):
             arrays += [array for one in self.samples for array in (one.time, one.values)]
-        return digest_of(repr((self.output_names, self.y.shape)), *arrays)
+        named = repr((self.output_names, self.y.shape)) + (repr(self.losses) if any(self.losses) else "")
+        return digest_of(named, *arrays)
 
 
 @dataclass(frozen=True, eq=False)

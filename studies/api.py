@@ -86,6 +86,7 @@ class CalibrationResult:
         theta: Parameters by name, with the columns value, unit, lower, upper and determined. The last one is
             False where the data leave a parameter open, and None where that was not judged. Shape (p, 5).
         mse: Final error. [first output's unit squared]
+        error_name: What it is: "MSE", or "mean loss" where an output has a robust loss.
         calls: Model calls in all. Those that were stored before count too.
         trajectories: The columns (output, "measured") and (output, "calibrated") of each output. The index is
             the time of the case file in seconds; NaN where nothing was measured. Shape (t, 2 k). [per output]
@@ -98,6 +99,7 @@ class CalibrationResult:
     name: str
     theta: pd.DataFrame
     mse: float
+    error_name: str
     calls: int
     trajectories: pd.DataFrame
     units: Mapping[str, str]
@@ -135,8 +137,8 @@ class CalibrationResult:
 
     def _sentences(self) -> Iterator[str]:
         unit = square_of(next(iter(self.units.values())))
-        error = quantity(self.mse, unit, 4)
-        yield f"{self.name}: MSE {error} after {self.calls} model calls; it ended because {self.reason}"
+        error = f"{self.error_name} {quantity(self.mse, unit, 4)}"
+        yield f"{self.name}: {error} after {self.calls} model calls; it ended because {self.reason}"
         if self.note:
             yield f"Note: {self.note}"
 
@@ -268,6 +270,7 @@ def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
         name=f"{study.label}/{outcome.name}",
         theta=theta.rename_axis("parameter"),
         mse=found.mse,
+        error_name=found.error_name,
         calls=found.n_calls,
         trajectories=pd.DataFrame(series).rename_axis("time_s"),
         units={output.name: output.unit for output in case.outputs},

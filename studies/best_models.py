@@ -80,7 +80,7 @@ def _calibration(one: FinishedCalibration) -> list[Block]:
     rows = [[k, shown_unit(found.units.get(k, "")), f"{value:.6g}"] for k, value in found.theta.items()]
     columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     return [
-        f"{found.case}: best calibration: MSE {one.mse_text}, {how}",
+        f"{found.case}: best calibration: {found.error_name} {one.mse_text}, {how}",
         *([f"made before {listed(one.changed_since)} changed"] if one.changed_since else []),
         Table(one.name, columns, rows),
     ]

@@ -21,10 +21,11 @@ class Evaluation:
         u: Points. Shape (n, p). [1]
         theta: The same points as parameters. Shape (n, p). [per parameter]
         y: Trajectories, NaN in failed rows. Shape (n, t, k). [output's unit]
-        residuals: Scaled (simulated - measured) at the m samples of all outputs, NaN in failed rows.
-            Shape (n, m). [first output's unit]
-        mse: Mean of the squared residuals, infinite in failed rows. Shape (n,). [first output's unit squared]
-        objective: What is minimized: the MSE, and a prior's penalty where there is one. Shape (n,). [same]
+        residuals: Scaled (simulated - measured) at the m samples of all outputs, as the outputs' losses count
+            them, NaN in failed rows. Shape (n, m). [first output's unit]
+        mse: Mean of the squared residuals, which is the mean loss where an output has a robust loss; infinite
+            in failed rows. Shape (n,). [first output's unit squared]
+        objective: What is minimized: this error, and a prior's penalty where there is one. Shape (n,). [same]
         failures: Why a row failed; "" where it did not. Length n.
     """
 

@@ -6,6 +6,8 @@ costs no call. So a search that explains too little fits a short window first, a
 window is explained.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
@@ -25,11 +27,12 @@ class TruncatedWindow:
             measurement: The target, which also says which residual belongs to which output.
         """
         n_outputs = len(measurement.output_names)
-        zero = np.zeros((1, len(measurement.time), n_outputs))
+        zero, plain = np.zeros((1, len(measurement.time), n_outputs)), replace(measurement, losses=())
+        self._measurement = measurement
         # Compared with zero, all that is left is the measurement, scaled and ordered as residuals are.
-        self._measured = signal = -measurement.compared(zero)[0]
+        self._measured = signal = -plain.compared(zero)[0]
         # A residual belongs to the output that moves it.
-        moved = measurement.compared(zero + np.eye(n_outputs)[:, None]) + signal
+        moved = plain.compared(zero + np.eye(n_outputs)[:, None]) + signal
         self._is_of: BoolArray = moved > 0.5 * moved.max(axis=0)
         self._variance = np.array([signal[of].var() for of in self._is_of])
         # An output that varies less than its sensor errs, as a room at its set point, counts only alone.
@@ -47,7 +50,7 @@ class TruncatedWindow:
     def seen(self, residuals: FloatArray) -> FloatArray:
         """Return the residuals in the window, of those of rows (..., m), or features. Shape (..., n)."""
         if self._features is not None:
-            return self._features.differences(residuals + self._measured)
+            return self._features.differences(self._simulated(residuals))
         return residuals[..., : int(np.ceil(self._part * residuals.shape[-1]))]
 
     def unexplained(self, residuals: FloatArray) -> float:
@@ -57,7 +60,7 @@ class TruncatedWindow:
             residuals: Of one row, all of them. Shape (m,). [first output's unit]
         """
         if self._features is not None:
-            return SEARCH.feature_weight * self._features.unexplained(residuals + self._measured)
+            return SEARCH.feature_weight * self._features.unexplained(self._simulated(residuals))
         seen = self.seen(residuals)
         shares = [
             float(np.mean(seen[of[: seen.size]] ** 2)) / variance
@@ -72,8 +75,12 @@ class TruncatedWindow:
         Args:
             residuals: Of some rows, all of them. Shape (n, m). [first output's unit]
         """
-        simulated = residuals + self._measured
+        simulated = self._simulated(residuals)
         return any(switches(simulated[:, of]) for of in self._is_of)
+
+    def _simulated(self, residuals: FloatArray) -> FloatArray:
+        """Return simulated outputs at the samples, scaled, of residuals of that shape."""
+        return np.asarray(self._measurement.scaled_differences(residuals) + self._measured)
 
     def shorten(self, *, to_features: bool = False) -> None:
         """Take the shortest window, or features of all trajectories first, where there are samples enough."""

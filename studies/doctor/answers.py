@@ -59,7 +59,8 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     series = list(zip(case.outputs, nominal.y[0].T, case.measurement.uncertainty, strict=True))
     ranges = [f"{one.name} from {y.min():.4g} to {y.max():.4g}{with_unit(one.unit)}" for one, y, _ in series]
     unit = squared(difference_unit(case.outputs[0].unit))
-    yield finding("estimates", "ok", mse=quantity(mse, unit, 4), ranges=", ".join(ranges))
+    error = f"{case.measurement.error_name} {quantity(mse, unit, 4)}"
+    yield finding("estimates", "ok", error=error, ranges=", ".join(ranges))
     yield from named("outputs-still", [one.name for one, y, _ in series if np.ptp(y) <= SAME])
     if not case.scenario.n_warmup:
         yield from named("first-values", [one.name for one, y, sigma in series if _jumps(sigma, y)])

@@ -61,13 +61,14 @@ class CalibratedValues:
     def about(self) -> dict[str, Any]:
         """What made the values, as JSON values."""
         changed = {"made_before_change_of": [*self.finished.changed_since]}
+        error = self.finished.found.error_name.lower().replace(" ", "_")
         return {
             "case": self.case.name,
             "case_digest": self.case.digest,
             "command": str(self.finished.outcome.provenance["command"]),
             "finished": self.finished.outcome.finished,
-            "mse": self.finished.found.mse,
-            "mse_unit": squared(difference_unit(self.finished.found.output_unit)),
+            error: self.finished.found.mse,
+            f"{error}_unit": squared(difference_unit(self.finished.found.output_unit)),
             **(changed if self.finished.changed_since else {}),
         }
 

@@ -82,7 +82,7 @@ def _calibration(data: ReportData, outcome: Outcome[Calibration]) -> Section:
         tables.append(table)
     mse, calls = quantity(found.mse, square_of(case.outputs[0].unit)), count(found.n_calls_paper, "call")
     said = tuple(f"{one.rstrip('.')}." for one in calibration_sentences(case, found))
-    heading = f"{found.shown_name}: final MSE {mse} in {calls}"
+    heading = f"{found.shown_name}: final {found.error_name} {mse} in {calls}"
     return Section(outcome.name, heading, tuple(pictures), tuple(tables), paragraphs=said)
 
 

@@ -49,7 +49,7 @@ def calibration_figure(case: Case, found: Calibration) -> Figure:
         found: The calibration to show.
     """
     mse = quantity(found.mse, square_of(case.outputs[0].unit))
-    title = f"Measured and {found.final}: MSE {mse}"
+    title = f"Measured and {found.final}: {found.error_name} {mse}"
     return _outputs_over_time(title, case, found.final, found.y, found.y_screened)
 
 
@@ -59,7 +59,7 @@ def validation_figure(case: Case, found: Calibration) -> Figure | None:
     if period is None or validated is None or y is None:
         return None
     mse = validated.final.mse
-    said = "failed" if mse is None else f"MSE {quantity(mse, square_of(case.outputs[0].unit))}"
+    said = "failed" if mse is None else f"{found.error_name} {quantity(mse, square_of(case.outputs[0].unit))}"
     title = f"The part that was not calibrated: {said}"
     shown = replace(period, measurement=period.measurement.from_first_sample)
     return _outputs_over_time(title, shown, found.final, y, found.validation_y_screened)
@@ -128,7 +128,7 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
         case: The case.
         found: The calibration to show.
     """
-    unit, final = square_of(case.outputs[0].unit), found.mse
+    unit, final, name = square_of(case.outputs[0].unit), found.mse, found.error_name
     calls, best = found.history_calls, found.history_mse
     n_before, what = found.n_train, "training set"
     if found.is_adaptive:
@@ -146,9 +146,9 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
         ),
     ]  # fmt: skip
     x = Axis("model calls", {"domain": [first, last + 0.01 * (last - first)], "nice": False})
-    panel = Panel("MSE", x, Axis(axis_label("best MSE", unit), LOG), series, 260)
+    panel = Panel(name, x, Axis(axis_label(f"best {name}", unit), LOG), series, 260)
     total = count(found.n_calls_paper, "model call")
-    return Figure(f"Best MSE over model calls: {quantity(final, unit)} after {total}", (panel,))
+    return Figure(f"Best {name} over model calls: {quantity(final, unit)} after {total}", (panel,))
 
 
 def _calls_to_polish(found: Calibration) -> int:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulation.time_unit import period_text
+from simulation.time_unit import DAY_S, period_text, unit_for
 from studies.calibration.misfit_threshold import misfit_threshold
 from studies.console import format_seconds
 from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
@@ -42,8 +42,8 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     if found.n_warm_start:
         cost += f", begun with {count(found.n_warm_start, 'stored simulation')}"
     return (
-        f"MSE {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}); it ended "
-        f"because {found.stop_reason}"
+        f"{found.error_name} {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}); "
+        f"it ended because {found.stop_reason}"
     )
 
 
@@ -52,14 +52,14 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
     said = [] if found.state_equations is None else [found.state_equations.sentence]
     if not math.isfinite(found.mse):
         return said
-    said.append(_fit(case, found))
+    said += [_fit(case, found), *_outliers(case, found)]
     said += [] if found.determined_by_data is None else found.determined_by_data.sentences
     if (prior := found.prior) is not None:
         unit = square_of(case.outputs[0].unit)
         said.append(
-            f"One standard deviation of a prior weighs as much as {quantity(prior.weight, unit)} of MSE "
-            f"({prior.n_independent:.4g} independent samples); all priors together "
-            f"{quantity(prior.penalty, unit)}, which no MSE shown here includes"
+            f"One standard deviation of a prior weighs as much as {quantity(prior.weight, unit)} of "
+            f"{found.error_name} ({prior.n_independent:.4g} independent samples); all priors together "
+            f"{quantity(prior.penalty, unit)}, which no {found.error_name} shown here includes"
         )
     days = {"calibrated": case, "validation": case.validation}
     for name, verdicts in judged_periods(case, found).items():
@@ -79,6 +79,28 @@ def _fit(case: "Case", found: Calibration) -> str:
             part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
         parts.append(part)
     return f"On {period_text(case.window_d)} {'; '.join(parts)}"
+
+
+def _outliers(case: "Case", found: Calibration) -> list[str]:
+    """Name the samples that a robust loss counts less, by output."""
+    said, measurement, (begin_d, end_d) = [], case.measurement, case.window_d
+    for k, output in enumerate(case.outputs):
+        if (loss := measurement.loss_of(k)) is None:
+            continue
+        unit, samples = difference_unit(output.unit), measurement.samples[k]
+        difference = measurement.differences(found.y[None], k)[0]
+        n_beyond, worst = np.count_nonzero(np.abs(difference) > loss.scale), np.argmax(np.abs(difference))
+        sentence = (
+            f"{output.name} has the {loss.kind} loss with scale {quantity(loss.scale, unit)}: "
+            f"{n_beyond:,} of {count(len(difference), 'sample')} differ by more and count less, "
+            "none is left out"
+        )
+        if n_beyond:
+            at_d = begin_d + float(samples.time[worst] - measurement.time[0]) / DAY_S
+            moment = unit_for(end_d * DAY_S).moment(at_d)
+            sentence += f"; the largest, {quantity(float(difference[worst]), unit)}, at {moment}"
+        said.append(sentence)
+    return said
 
 
 def judged_periods(case: "Case", found: Calibration) -> Mapping[str, tuple[Judged, ...]]:
@@ -153,7 +175,7 @@ def uncertainty_sentences(found: Uncertainty, unit: str) -> list[str]:
         )
     if best < FITS_BETTER * found.mse:
         said.append(
-            f"A simulated set fits better than the calibration: MSE {significant(best)} instead of "
+            f"A simulated set fits better than the calibration: {significant(best)} instead of "
             f"{significant(found.mse)} {squared(unit)}; calibrate with --from-stored begins with it."
         )
     # What nothing below may be trusted without comes first.

@@ -105,19 +105,20 @@ def _index(value: float) -> str:
 def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     """Tabulate calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
     unit, mse_unit = difference_unit(case.outputs[0].unit), square_of(case.outputs[0].unit)
+    error = case.measurement.error_name
     with_surrogate: Columns = [
         (number("training set"), lambda one: count(one.result.n_train)),
         (number("test MAE", unit), partial(_error, name="test/mae")),
         (number("test P90", unit, 3), partial(_error, name="test/p90")),
-        (number("MSE surrogate", mse_unit, 2), partial(_screened, name="mse_surrogate")),
-        (number("MSE screened", mse_unit), partial(_screened, name="mse")),
+        (number(f"{error} surrogate", mse_unit, 2), partial(_screened, name="mse_surrogate")),
+        (number(f"{error} screened", mse_unit), partial(_screened, name="mse")),
         (number("gap", mse_unit, 4), partial(_screened, name="gap")),
         (number("polish calls"), lambda one: count(one.result.ledger["n_polish"])),
     ]
     has_surrogate = any(not one.result.is_adaptive for one in calibrations)
     columns: Columns = [
         *(with_surrogate if has_surrogate else []),
-        (number("final MSE", mse_unit), lambda one: significant(one.result.mse)),
+        (number(f"final {error}", mse_unit), lambda one: significant(one.result.mse)),
         (number("calls, paper's count"), lambda one: count(one.result.n_calls_paper)),
         (number("calls, all", spare=1), lambda one: count(one.result.n_calls)),
         *(
@@ -133,9 +134,9 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     best = best_of(calibrations)
     emphasized = calibrations.index(best) if best is not None and len(rows) > 1 else None
     title = (
-        "Calibrations. MSE surrogate and MSE screened are both at the screened point: by the surrogate and "
-        "by the model. The paper's count leaves out validation and test sets; no count has simulations "
-        "stored before"
+        f"Calibrations. {error} surrogate and {error} screened are both at the screened point: by the "
+        "surrogate and by the model. The paper's count leaves out validation and test sets; no count has "
+        "simulations stored before"
     )
     return Table(title, [one for one, _ in columns], rows, emphasized=emphasized)
 
@@ -214,8 +215,8 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
     unit = square_of(case.outputs[0].unit)
     columns = (
         Column("parameters"),
-        number("MSE, calibrated part", unit),
-        number("MSE, validation", unit),
+        number(f"{found.error_name}, calibrated part", unit),
+        number(f"{found.error_name}, validation", unit),
         Column("output"),
         Column("unit"),
         number("samples", spare=4),

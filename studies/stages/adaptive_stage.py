@@ -207,7 +207,8 @@ def _reporter(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Pro
         nonlocal last_said
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
             raise _hopeless(study, physical)
-        best, n_failed = f"best MSE {quantity(now.best_mse, unit, 4)}", len(physical.failures)
+        name, n_failed = study.case.measurement.error_name, len(physical.failures)
+        best = f"best {name} {quantity(now.best_mse, unit, 4)}"
         if study.case.policy.is_hopeless(now.n_done, n_failed):
             raise StageError(
                 f"{n_failed} of {count(now.n_done, 'simulation')} failed, more than "

@@ -49,6 +49,7 @@ def calibration_at(
         theta=dict(zip(names, theta.tolist(), strict=True)),
         units={one.name: one.unit for one in case.parameter_space.parameters},
         output_unit=case.outputs[0].unit,
+        error_name=case.measurement.error_name,
         outputs=fits(case, y),
         n_failed=len(physical.failures),
         first_failure=next(iter(physical.failures), None),

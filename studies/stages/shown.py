@@ -54,12 +54,14 @@ def _show_search(study: Study, found: Calibration) -> None:
         if known.is_target:
             reached = found.history.calls_to(known.mse)
             calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
-            study.console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
+            study.console.result(f"{found.error_name} {quantity(known.mse, unit)} ({known.label}): {calls}")
 
 
 def _misfit(study: Study, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
     of_the_step, lacks = found_of_the_step(study), "the model lacks something"
+    if any(study.case.measurement.losses):
+        lacks = f"outliers weigh so much, or {lacks}"
     if of_the_step:
         lacks = f"studies check found that {of_the_step}; else {lacks}"
     elif of_the_step is None and study.case.scenario.inputs_at_edges is None:

@@ -353,6 +353,8 @@ class Calibration:
         validation_time: Output times of the validation period. Shape (v,). [s]
         validation_y: The model there. Shape (v, k). [per output]
         validation_y_screened: The model there at the screened point. Shape (v, k). [per output]
+        error_name: What its errors are, which all fields name `mse`: "MSE", or "mean loss" where an output
+            has a robust loss.
         start_theta: The stored simulations that it started from. Shape (n, p). [per parameter]
         start_watched: Which of them are stored with the model's states. Shape (n,).
     """
@@ -393,13 +395,14 @@ class Calibration:
     validation_time: FloatArray | None = None
     validation_y: FloatArray | None = None
     validation_y_screened: FloatArray | None = None
+    error_name: str = "MSE"
     start_theta: FloatArray | None = None
     start_watched: BoolArray | None = None
 
     @property
     def news(self) -> str:
         """Its error."""
-        return f"final MSE {significant(self.mse, 4) if math.isfinite(self.mse) else 'failed'}"
+        return f"final {self.error_name} {significant(self.mse, 4) if math.isfinite(self.mse) else 'failed'}"
 
     @property
     def has_failures(self) -> bool:

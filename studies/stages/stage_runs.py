@@ -25,6 +25,7 @@ def log_calibration(work: Work[Calibration], outcome: Outcome[Calibration]) -> N
     """Log a finished calibration, with its figures."""
     found, study = outcome.result, work.stage.study
     tags: dict[str, Any] = {"method": found.method, "stop_reason": found.stop_reason}
+    tags["error"] = found.error_name
     metrics: dict[str, float | None] = {
         "mse/calibrated": found.mse,
         "calls/paper": found.n_calls_paper,

@@ -88,7 +88,7 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         deviation = float(measurement.uncertainty[0])
         # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
         return Noise(kind, deviation, m, declared_independent_samples(measurement))
-    parts = [measurement.differences(y[None], k)[0] * s for k, s in enumerate(measurement.scales)]
+    parts = [measurement.scatter(y, k) for k in range(len(measurement.samples))]
     squares = sum(float(part @ part) for part in parts)
     if squares <= 0.0:
         raise InputError(

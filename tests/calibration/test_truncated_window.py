@@ -1,6 +1,6 @@
 """The window of an adaptive calibration: what is seen, what counts as explained, and a frequency found."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from problems_for_tests import TwoOutputs, problem_on
 from simulation.arrays import FloatArray
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
+from simulation.robust_loss import RobustLoss
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.problem import CalibrationProblem
@@ -114,3 +115,15 @@ def test_a_truncated_window_repeats_too(n_parallel: int) -> None:
     )
     n = short.history.best_mse.size - 1
     np.testing.assert_array_equal(long.history.best_mse[:n], short.history.best_mse[:n])
+
+
+def test_features_are_those_of_the_simulation_whatever_the_loss() -> None:
+    problem = wave_problem()
+    robust = replace(problem.measurement, losses=(RobustLoss("huber", 0.05),))
+    y = problem.evaluate(np.array([0.2, 0.8])).y
+    found = []
+    for measurement in (problem.measurement, robust):
+        window, residuals = TruncatedWindow(measurement), measurement.compared(y)
+        window.shorten(to_features=True)
+        found.append([*window.seen(residuals)[0], window.unexplained(residuals[0])])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)

@@ -11,6 +11,7 @@ from case_for_tests import edit
 from simulation import InputError, load_case
 from simulation.case_parts import with_units
 from simulation.pool.execution import ExecutionPolicy
+from simulation.robust_loss import RobustLoss
 
 ROWS = np.array([[1e-4, 0.0], [3e-5, 0.0]])
 
@@ -169,3 +170,39 @@ def test_the_case_says_the_unit_that_the_fmu_does_not(decay_case: Path):
     bare = replace(plain.fmu, variables={**plain.fmu.variables, "y": silent})
     assert with_units(bare, {"y": "K"}).variables["y"].unit == "K"
     assert with_units(bare, {"z": "K"}) is bare
+
+
+@pytest.mark.parametrize(
+    ("keys", "loss"),
+    [
+        ("", None),
+        ('loss = "squares"', None),
+        ('loss = "huber"', RobustLoss("huber", 1.0)),
+        ('loss = "soft-l1"\nloss_scale = 0.3', RobustLoss("soft-l1", 0.3)),
+    ],
+)
+def test_a_loss_is_of_its_output_and_changes_the_measurement_alone(
+    decay_case: Path, keys: str, loss: RobustLoss | None
+):
+    plain = load_case(decay_case)
+    edit(decay_case, ("uncertainty = 0.5", f"uncertainty = 0.5\n{keys}"))
+    case = load_case(decay_case)
+    assert case.measurement.loss_of(0) == loss
+    assert (case.measurement.digest == plain.measurement.digest) == (loss is None)
+    # Surrogates and stored simulations know these digests.
+    assert (case.digest, case.model_digest) == (plain.digest, plain.model_digest)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("loss_scale = 0.3", r"loss_scale has no robust loss; add loss = \"huber\""),
+        ('loss = "squares"\nloss_scale = 0.3', "loss_scale has no robust loss"),
+        ('loss = "huber"\nloss_scale = 0', "greater than 0"),
+        ('loss = "cauchy"', "loss"),
+    ],
+)
+def test_a_loss_that_is_none_is_refused(decay_case: Path, keys: str, message: str):
+    edit(decay_case, ("uncertainty = 0.5", f"uncertainty = 0.5\n{keys}"))
+    with pytest.raises(InputError, match=message):
+        load_case(decay_case)

@@ -7,6 +7,7 @@ import pytest
 
 from simulation import Measurement
 from simulation.measurement import Samples
+from simulation.robust_loss import LossKind, RobustLoss
 
 TIME = np.arange(6) * 600.0
 SIGMA = np.array([0.5])
@@ -126,3 +127,57 @@ def test_the_digest_sees_values_times_weights_and_names():
 def test_what_does_not_fit_is_refused(make: object, message: str):
     with pytest.raises(ValueError, match=message):
         make()  # type: ignore[operator]
+
+
+LOSSES = {
+    "huber": lambda d, c: d**2 if d <= c else 2.0 * c * d - c**2,
+    "soft-l1": lambda d, c: 2.0 * c**2 * ((1.0 + (d / c) ** 2) ** 0.5 - 1.0),
+}
+
+
+@pytest.mark.parametrize("kind", LOSSES)
+def test_the_error_with_a_robust_loss_is_the_formula_in_the_outputs_unit(kind: LossKind):
+    rng = np.random.default_rng(1)
+    sigma, weights = np.array([0.5, 40.0]), np.array([1.0, 3.0])
+    samples = tuple(Samples(np.sort(rng.uniform(0, 3000, m)), rng.normal(size=m)) for m in (4, 50))
+    plain = Measurement(TIME, samples, ("a", "b"), sigma, weights)
+    robust = replace(plain, losses=(None, RobustLoss(kind, 18.0)))
+    rows = _rows(3, 2)
+    for row, found in zip(rows, robust.mse(rows), strict=True):
+        expected = 0.0
+        for k, loss in enumerate((lambda d, _: d**2, LOSSES[kind])):
+            differences = np.abs(plain.differences(row[None], k)[0])
+            size = np.mean([loss(d, 18.0) for d in differences]) * (sigma[0] / sigma[k]) ** 2
+            expected += weights[k] / weights.sum() * size
+        assert found == pytest.approx(expected, rel=1e-12)
+    assert (np.sign(robust.compared(rows)) == np.sign(plain.compared(rows))).all()
+    np.testing.assert_allclose(
+        robust.scaled_differences(robust.compared(rows)), plain.compared(rows), rtol=1e-12
+    )
+    assert (robust.error_name, plain.error_name) == ("mean loss", "MSE")
+    assert robust.digest != plain.digest
+
+
+@pytest.mark.parametrize("kind", LOSSES)
+@pytest.mark.parametrize("size", [0.0, 1e-9, 0.3, 3.0, 1e6])
+def test_a_loss_leaves_small_differences_as_they_are_and_can_be_undone(kind: LossKind, size: float):
+    loss, d = RobustLoss(kind, 3.0), np.array([size, -size, np.nan])
+    assert not np.isfinite(loss.shrunk(np.array([np.inf, -np.inf, np.nan]))).any()
+    shrunk = loss.shrunk(d)
+    assert shrunk[0] == -shrunk[1]
+    if size < 1e-6 or (kind == "huber" and size <= 3.0):
+        assert shrunk[0] == size
+    assert shrunk[0] <= size
+    np.testing.assert_allclose(loss.grown(shrunk), d, rtol=1e-12)
+
+
+def test_no_loss_is_squares_bit_for_bit_with_the_same_digest():
+    plain, rows = _grid(_rows(1, 2)[0]), _rows(3, 2)
+    squares = replace(plain, losses=(None, None))
+    np.testing.assert_array_equal(squares.compared(rows), plain.compared(rows))
+    assert squares.digest == plain.digest
+    scaled = replace(plain, losses=(None, RobustLoss("huber", 1.0)))
+    assert (
+        len({scaled.digest, replace(plain, losses=(None, RobustLoss("huber", 2.0))).digest, plain.digest})
+        == 3
+    )
