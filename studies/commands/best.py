@@ -22,6 +22,7 @@ Examples:
 
 import argparse
 
+from simulation.errors import InputError
 from studies.console import Console
 from studies.paths import find_project
 
@@ -46,6 +47,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.best_models import best_blocks, best_document
     from studies.project import read_project
 
+    if chosen.n_train is not None and (chosen.write or [""])[0] != "onnx":
+        raise InputError("--n-train chooses the surrogate of --write onnx; write that, or leave it out")
     project = read_project(find_project(chosen.storage), chosen.which)
     document = best_document(project)
     if chosen.write:

@@ -48,6 +48,7 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["pdf"], "'pdf': give one of ssv, modelica, csv, json, fmu, onnx"),
         (["csv", "a", "b"], "then at most one file"),
+        (["csv", "--n-train", "64"], "--n-train chooses the surrogate of --write onnx"),
         (["onnx"], "needs one case with a surrogate; type studies tune first"),
     ],
 )
