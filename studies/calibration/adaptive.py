@@ -19,6 +19,8 @@ from studies.calibration.adaptive_search import AdaptiveSearch
 from studies.calibration.ending import Ending
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.misfit_threshold import misfit_threshold
+from studies.calibration.network_inputs import NetworkInputs
+from studies.calibration.network_search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress, Recorder
 from studies.calibration.search_settings import SearchSettings
@@ -96,6 +98,7 @@ class Adaptive(SearchSettings):
         seed: int,
         known: Evaluation | None = None,
         learned_ode: LearnedODE | None = None,
+        network_inputs: NetworkInputs | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.
@@ -109,6 +112,8 @@ class Adaptive(SearchSettings):
             known: Rows of this problem that were simulated before; they cost nothing and are the first design
                 as far as they fill it.
             learned_ode: Learns the model's state equations from rows and proposes others, None for none.
+            network_inputs: What drives the model, where it may be a network that hides its states; None
+                otherwise.
             on_progress: Called after each round.
 
         Returns:
@@ -130,7 +135,9 @@ class Adaptive(SearchSettings):
                 f"same problem: {shape[1]} parameters and {shape[0]} residuals"
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known, learned_ode)
+        network = None if network_inputs is None else HiddenNetwork(network_inputs, problem, seed)
+        rng = np.random.default_rng(seed)
+        search = AdaptiveSearch(self, problem, recorder, rng, known, learned_ode, network)
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             with threadpool_limits(limits=1, user_api="blas"):

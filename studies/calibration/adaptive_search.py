@@ -12,6 +12,7 @@ from studies.calibration.expected_objective import expected_objective, is_surely
 from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.learned_ode import LearnedODE, enough_for_equations
+from studies.calibration.network_search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, favourites, informative
@@ -36,6 +37,7 @@ class AdaptiveSearch:
         rng: np.random.Generator,
         known: Evaluation | None = None,
         learned_ode: LearnedODE | None = None,
+        network: HiddenNetwork | None = None,
     ) -> None:
         """Begin with what is known.
 
@@ -46,9 +48,10 @@ class AdaptiveSearch:
             rng: Source of the first design and all draws.
             known: Rows that were simulated before (warm start), None for none.
             learned_ode: Learns the model's state equations, None for none.
+            network: Learns a network whose states the model hides, None for none.
         """
         self._settings = settings
-        self._ode = learned_ode
+        self._ode, self._network = learned_ode, network
         self._p = p = problem.space.n_parameters
         self._prior = problem.prior
         self._features = Features.of(problem.space)
@@ -106,6 +109,12 @@ class AdaptiveSearch:
             if np.isfinite(self._objective).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
+            if self._network is not None:
+                proposed = self._network.propose(settings.n_parallel)
+                if proposed is not None:
+                    self._ask(proposed)
+                    continue
+                self._network = None
             self._adapt_window()
             if self._fits_exactly:
                 return Ending(
@@ -528,6 +537,8 @@ class AdaptiveSearch:
         self._judge()
         if self._ode is not None:
             self._ode.note(answer)
+        if self._network is not None:
+            self._network.note(answer)
 
     def _fit(self) -> ProcessGroups:
         good = self._is_sane

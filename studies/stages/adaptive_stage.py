@@ -13,6 +13,7 @@ from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.learned_ode import LEAST_CALLS
 from studies.calibration.ledger import Ledger
+from studies.calibration.network_inputs import NetworkInputs
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
 from studies.calibration.row_choice import best_and_far
@@ -155,6 +156,7 @@ def calibrate_adaptively(
             seed=study.profile.seed,
             known=known,
             learned_ode=learned_ode,
+            network_inputs=None if state_equations else NetworkInputs.of(case),
             on_progress=_reporter(study, physical, bars),
         )
     if not np.isfinite(result.mse):

@@ -54,9 +54,9 @@ def adaptive(n_parallel: int = 1, *, state_equations: bool = False) -> Search:
     def search(problem: CalibrationProblem, seed: int, max_calls: int) -> AdaptiveResult:
         sensor = float(problem.measurement.uncertainty[0])
         chosen = Adaptive.for_sensor(sensor, max_calls=max_calls, n_parallel=n_parallel)
-        if not state_equations:
-            return chosen.minimize(problem, seed=seed)
         watched = problem.model.watched  # type: ignore[attr-defined]
+        if not state_equations:
+            return chosen.minimize(problem, seed=seed, network_inputs=watched.network_inputs)
         equations = LearnedODE(watched.signals, watched.seen, problem)
         return chosen.minimize(problem, seed=seed, learned_ode=equations)
 

@@ -13,6 +13,8 @@ from fewest_calls.instances import Instance, of_case
 from fewest_calls.instances_office import WINDOWS_D, office_instance
 from simulation import Case, load_case
 from simulation.arrays import FloatArray
+from simulation.forward_model import ForwardModel
+from studies.calibration.network_inputs import NetworkInputs
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
@@ -124,11 +126,20 @@ def _instance(path: Path, seed: int) -> Instance:
     return of_case(load_case(path), seed)
 
 
+class PosedModel(WatchedModel):
+    """A case's model that remembers what the states did, and what drives it."""
+
+    def __init__(self, model: ForwardModel, case: Case) -> None:
+        """Wrap the model of a case that watches its states."""
+        super().__init__(model, StateSignals.of(case))
+        self.network_inputs = NetworkInputs.of(case)
+
+
 @contextmanager
 def posed(case: Case) -> Iterator[CalibrationProblem]:
     """Open a case's model and pose its problem; what the states did is there for who looks."""
     with watching_states(case).open_model() as model:
-        yield CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+        yield CalibrationProblem(PosedModel(model, case), case.measurement)
 
 
 def brute_force(problem: CalibrationProblem, posed_as: Problem, made: Instance) -> Best:

@@ -1,0 +1,157 @@
+"""Networks solved exactly: a linear network under constant inputs moves by a matrix exponential.
+
+The slopes of all outputs with respect to all couplings are solved with them.
+"""
+
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
+from simulation.fmi.call import compiled
+
+# Terms of the exponential's series below a norm of 1/2: the next is below rounding.
+N_TERMS = 13
+
+
+@compiled
+def _exponential(a: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return exp([[a, 1], [0, 0]] step) and its slopes by the entries of a. Shapes (2s, 2s), (s s, 2s, 2s).
+
+    By scaling and squaring (Higham 2005, doi:10.1137/04061101X), each operation with its derivative.
+    """
+    s = a.shape[0]
+    n, n_slopes = 2 * s, s * s
+    matrix = np.zeros((n, n))
+    matrix[:s, :s] = a * step
+    for i in range(s):
+        matrix[i, s + i] = step
+    norm, n_squares = np.abs(matrix).sum(axis=1).max(), 0
+    while norm > 0.5:
+        norm *= 0.5
+        n_squares += 1
+    scale = 0.5**n_squares
+    matrix *= scale
+    total, term = np.eye(n), np.eye(n)
+    slopes, slope = np.zeros((n_slopes, n, n)), np.zeros((n_slopes, n, n))
+    for order in range(1, N_TERMS + 1):
+        for d in range(n_slopes):
+            moved = slope[d] @ matrix
+            moved[:, d % s] += term[:, d // s] * (step * scale)
+            slope[d] = moved / order
+            slopes[d] += slope[d]
+        term = term @ matrix / order
+        total += term
+    for _ in range(n_squares):
+        for d in range(n_slopes):
+            slopes[d] = slopes[d] @ total + total @ slopes[d]
+        total = total @ total
+    return total, slopes
+
+
+@compiled
+def steps(
+    start: FloatArray,
+    couplings: FloatArray,
+    places: IntArray,
+    potentials: FloatArray,
+    sources: FloatArray,
+    pattern: IntArray,
+    patterns: FloatArray,
+    step: float,
+    every: int,
+    n_outputs: int,
+    with_slopes: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Solve the networks of all points.
+
+    Args:
+        start: First states. Shape (n, s).
+        couplings: Rates, per unit of time, of which every one moves one state. Shape (n, e). [1]
+        places: Of every coupling its kind (0 to another state, 1 to a potential, 2 to a source), the state
+            that it moves, the other state, potential or source, and its switch or -1. Shape (e, 4).
+        potentials: Constant over each step. Shape (m, a).
+        sources: The same. Shape (m, b).
+        pattern: Pattern of the switches in each step. Shape (m,).
+        patterns: Which switches are on. Shape (r, w).
+        step: Length of a step in the unit of time. [1]
+        every: Steps from one output to the next.
+        n_outputs: The first states are the outputs.
+        with_slopes: Whether slopes are wanted.
+
+    Returns:
+        Outputs, shape (n, 1 + m / every, k), and their slopes by couplings and first states, shape
+        (n, 1 + m / every, k, e + s), or (n, 0, 0, 0).
+    """
+    n, s = start.shape
+    n_couplings, n_patterns, n_times = couplings.shape[1], patterns.shape[0], pattern.size // every + 1
+    n_slopes = n_couplings + s
+    y = np.empty((n, n_times, n_outputs))
+    slopes = np.zeros((n, n_times, n_outputs, n_slopes)) if with_slopes else np.zeros((n, 0, 0, 0))
+    x, flow, moved = np.empty(s), np.empty(s), np.empty(s)
+    by_rate, by_coupling = np.empty((s * s, s)), np.empty((n_slopes, s))
+    for point in range(n):
+        rates = couplings[point]
+        is_on = np.ones((n_patterns, n_couplings))
+        exact, tangents = np.empty((n_patterns, 2 * s, 2 * s)), np.empty((n_patterns, s * s, 2 * s, 2 * s))
+        for p in range(n_patterns):
+            matrix = np.zeros((s, s))
+            for e in range(n_couplings):
+                kind, i, j, switch = places[e]
+                if switch >= 0:
+                    is_on[p, e] = patterns[p, switch]
+                if kind == 0:
+                    matrix[i, j] += rates[e] * is_on[p, e]
+                if kind < 2:
+                    matrix[i, i] -= rates[e] * is_on[p, e]
+            exact[p], tangents[p] = _exponential(matrix, step)
+        x[:] = start[point]
+        by_coupling[:] = 0.0
+        for i in range(s):
+            by_coupling[n_couplings + i, i] = 1.0
+        for k in range(n_outputs):
+            y[point, 0, k] = x[k]
+            if with_slopes:
+                slopes[point, 0, k] = by_coupling[:, k]
+        for m in range(pattern.size):
+            p = pattern[m]
+            flow[:] = 0.0
+            for e in range(n_couplings):
+                if places[e, 0] == 1:
+                    flow[places[e, 1]] += rates[e] * is_on[p, e] * potentials[m, places[e, 2]]
+                elif places[e, 0] == 2:
+                    flow[places[e, 1]] += rates[e] * is_on[p, e] * sources[m, places[e, 2]]
+            if with_slopes:
+                for d in range(s * s):
+                    for a in range(s):
+                        total = 0.0
+                        for b in range(s):
+                            total += tangents[p, d, a, b] * x[b] + tangents[p, d, a, s + b] * flow[b]
+                        by_rate[d, a] = total
+                for e in range(n_slopes):
+                    for a in range(s):
+                        total = 0.0
+                        for b in range(s):
+                            total += exact[p, a, b] * by_coupling[e, b]
+                        moved[a] = total
+                    if e < n_couplings and is_on[p, e] > 0.0:
+                        kind, i, j, _ = places[e]
+                        for a in range(s):
+                            if kind == 0:
+                                moved[a] += by_rate[i * s + j, a] - by_rate[i * s + i, a]
+                            elif kind == 1:
+                                moved[a] += exact[p, a, s + i] * potentials[m, j] - by_rate[i * s + i, a]
+                            else:
+                                moved[a] += exact[p, a, s + i] * sources[m, j]
+                    by_coupling[e] = moved
+            for a in range(s):
+                total = 0.0
+                for b in range(s):
+                    total += exact[p, a, b] * x[b] + exact[p, a, s + b] * flow[b]
+                moved[a] = total
+            x[:] = moved
+            if (m + 1) % every == 0:
+                t = (m + 1) // every
+                for k in range(n_outputs):
+                    y[point, t, k] = x[k]
+                    if with_slopes:
+                        slopes[point, t, k] = by_coupling[:, k]
+    return y, slopes
