@@ -8,6 +8,7 @@ that matter most are found first.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from simulation.arrays import FloatArray
 from studies.calibration.network_model import UNITS, Network
@@ -61,19 +62,22 @@ def first_guess(network: Network, rng: np.random.Generator) -> Fit:
     return Fit(replace(network, weights=weights))
 
 
-def improved(fit: Fit, u: FloatArray, y: FloatArray, n_steps: int) -> Fit:
+def improved(fit: Fit, u: FloatArray, y: FloatArray, share: FloatArray, n_steps: int) -> Fit:
     """Go on fitting.
 
     Args:
         fit: What is known.
         u: Points of the rows. Shape (n, p). [1]
         y: Their outputs. Shape (n, t, k). [first output's unit]
+        share: How much every row counts, at most 1. Shape (n,). [1]
         n_steps: Most steps.
     """
     network, width, noise = fit.network, fit.width, fit.noise
     form = network.form
     features = form.features(u, network.unit)
     target = (y - network.level) * network.unit
+    root = np.sqrt(share)[:, None]
+    n_counted = float(share.sum()) * y[0].size
     n_elements, (n_blocks, n_features) = form.n_elements, network.weights.shape
     free = np.flatnonzero(form.is_free.reshape(-1))
     by_unit = np.outer(form.by_unit, form.by_unit) / UNITS**2
@@ -91,14 +95,14 @@ def improved(fit: Fit, u: FloatArray, y: FloatArray, n_steps: int) -> Fit:
 
     def misfit_of(weights: FloatArray) -> FloatArray:
         solved, _ = replace(network, weights=weights).solved(features, with_slopes=False)
-        return np.asarray((solved - target).reshape(len(u), -1))
+        return np.asarray(root * (solved - target).reshape(len(u), -1))
 
     solved, slopes = network.solved(features, with_slopes=True)
-    misfit = (solved - target).reshape(len(u), -1)
+    misfit, slopes = root * (solved - target).reshape(len(u), -1), root[:, :, None] * slopes
     for _ in range(n_steps):
         weights = network.weights
         width = max(width * NARROWER, NARROW)
-        noise = max(float(np.sqrt(np.mean(misfit**2))), FALL * noise, LEAST)
+        noise = max(float(np.sqrt(np.square(misfit).sum() / n_counted)), FALL * noise, LEAST)
         weight = 1.0 / (N_ALIKE * noise**2)
         precision[:n_elements, 1:] = 2.0 * COST / (width**2 + weights[:n_elements, 1:] ** 2)
         gradient = weight * np.einsum("rte,rt->re", slopes, misfit).T @ features
@@ -122,13 +126,13 @@ def improved(fit: Fit, u: FloatArray, y: FloatArray, n_steps: int) -> Fit:
         for _ in range(N_TRIALS):
             damped = hessian.copy()
             damped[places, places] += damping * form.precision.reshape(-1)[free]
-            inverse = np.linalg.inv(damped)
-            straight = whole(-inverse @ slope)
+            factor = cho_factor(damped, overwrite_a=True, check_finite=False)
+            straight = whole(-cho_solve(factor, slope, check_finite=False))
             # The bend of the path, from the second derivative along the step.
             along = np.einsum("rte,re->rt", slopes, features @ straight.T)
             bend = 2.0 / PART * ((misfit_of(weights + PART * straight) - misfit) / PART - along)
             pull = weight * np.einsum("rte,rt->re", slopes, bend).T @ features
-            turn = whole(-inverse @ pull.reshape(-1)[free])
+            turn = whole(-cho_solve(factor, pull.reshape(-1)[free], check_finite=False))
             size = np.sqrt((form.precision * straight**2).sum())
             if np.sqrt((form.precision * turn**2).sum()) <= BENT * size:
                 step = straight + 0.5 * turn
@@ -148,8 +152,8 @@ def improved(fit: Fit, u: FloatArray, y: FloatArray, n_steps: int) -> Fit:
         harder = HARDER
         network = replace(network, weights=found[0])
         solved, slopes = network.solved(features, with_slopes=True)
-        misfit = (solved - target).reshape(len(u), -1)
+        misfit, slopes = root * (solved - target).reshape(len(u), -1), root[:, :, None] * slopes
         n_little = n_little + 1 if found[1] < LITTLE else 0
         if n_little == N_LITTLE:
             break
-    return Fit(network, float(np.sqrt(np.mean(misfit**2))), width, noise)
+    return Fit(network, float(np.sqrt(np.square(misfit).sum() / n_counted)), width, noise)

@@ -22,9 +22,14 @@ EXPLAINED = (0.15, 0.03)
 MOST_ROWS = 48
 # Points that are looked at, and how many of the best of them, beside best rows and last ends, are walked
 # downhill.
-N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 4, 2, 2
+N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 16, 2, 2
+# A row whose error is so many times the best counts half, in all fits but the first.
+FAR = 30.0
+# Where less than the first part is to be gained, ends that lie so far from all rows are asked that are at
+# most the second part worse: they may lie in other valleys.
+LITTLE, APART, WORSE = 0.003, 0.1, 0.05
 # Rounds without gain after which it gives up.
-N_VAIN = 4
+N_VAIN = 5
 # Beside points that are known, others are drawn so far away. [1]
 BESIDE = 0.05
 
@@ -61,7 +66,7 @@ class HiddenNetwork:
         """
         good = np.isfinite(answer.objective)
         best = float(self._objective.min(initial=np.inf))
-        is_gain = bool((answer.objective < (1.0 - SEARCH.promised) * best).any())
+        is_gain = bool((answer.objective < (1.0 - LITTLE) * best).any())
         if self._n_proposed:
             self._n_vain = 0 if is_gain else self._n_vain + 1
         self._u = np.concatenate([self._u, answer.u[good]])
@@ -87,9 +92,12 @@ class HiddenNetwork:
         order = np.argsort(values, kind="stable")
         self._ends = ends[order[:N_ENDS]]
         points = np.empty((0, p))
-        for end in ends[order]:
-            known = np.concatenate([self._u, points])
-            if np.abs(known - end).max(axis=1).min() > SEARCH.same_point and len(points) < n:
+        best_yet = float(self._objective.min())
+        for end, value in zip(ends[order], values[order], strict=True):
+            distance = np.abs(np.concatenate([self._u, points]) - end).max(axis=1).min()
+            is_better = value < (1.0 - LITTLE) * best_yet and distance > SEARCH.same_point
+            is_elsewhere = value < (1.0 + WORSE) * best_yet and distance > APART
+            if len(points) < n and (is_better or is_elsewhere):
                 points = np.concatenate([points, end[None]])
         if not len(points):
             self._is_given_up = True
@@ -103,7 +111,8 @@ class HiddenNetwork:
         rows = self._chosen_rows()
         u, y = self._u[rows], self._y[rows]
         if self._fit is not None:
-            self._fit = improved(self._fit, u, y, LATER_STEPS)
+            share = 1.0 / (1.0 + self._objective[rows] / (FAR * self._objective.min()))
+            self._fit = improved(self._fit, u, y, share, LATER_STEPS)
             return bool(self._fit.misfit <= EXPLAINED[0] * SCALE)
         deviation = float(y.std()) if len(y) else 0.0
         if deviation == 0.0:
@@ -111,7 +120,7 @@ class HiddenNetwork:
         network = Network(self._form, self._form.mean, float(y[..., 0].mean()), SCALE / deviation)
         fit = first_guess(network, self._rng)
         for n_steps, share in zip(FIRST_STEPS, EXPLAINED, strict=True):
-            fit = improved(fit, u, y, n_steps)
+            fit = improved(fit, u, y, np.ones(len(u)), n_steps)
             if not fit.misfit <= share * SCALE:
                 return False
         self._fit = fit
