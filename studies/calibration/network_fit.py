@@ -6,12 +6,13 @@ that matter most are found first.
 """
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from simulation.arrays import FloatArray
-from studies.calibration.network_model import UNITS, Network
+from studies.calibration.network_model import UNITS, Network, NetworkForm
 
 # Neighbouring samples of a trajectory tell the same: so many count as one.
 N_ALIKE = 40.0
@@ -62,6 +63,91 @@ def first_guess(network: Network, rng: np.random.Generator) -> Fit:
     return Fit(replace(network, weights=weights))
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows that a network is fitted to.
+
+    Attributes:
+        features: Of their points. Shape (n, 1 + p).
+        target: Their scaled outputs. Shape (n, t, k).
+        root: Roots of how much they count. Shape (n, 1).
+    """
+
+    features: FloatArray
+    target: FloatArray
+    root: FloatArray
+
+    def misfit(self, network: Network) -> FloatArray:
+        """Return scaled outputs of a network minus simulated ones. Shape (n, t k)."""
+        return self._misfit(network.solved(self.features, with_slopes=False)[0])
+
+    def linearised(self, network: Network) -> tuple[FloatArray, FloatArray]:
+        """Return the misfit and its slopes by the rows' elements. Shapes (n, t k), (n, t k, q + s)."""
+        solved, slopes = network.solved(self.features, with_slopes=True)
+        return self._misfit(solved), self.root[:, :, None] * slopes
+
+    def size(self, misfit: FloatArray) -> float:
+        """Return a misfit's root mean square."""
+        return float(np.sqrt(np.square(misfit).sum() / (np.square(self.root).sum() * self.target[0].size)))
+
+    def _misfit(self, solved: FloatArray) -> FloatArray:
+        return np.asarray(self.root * (solved - self.target).reshape(len(self.root), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Quadratic:
+    """The cost of powers and misfits around a network.
+
+    Attributes:
+        form: The network's form.
+        weight: Of the squares of a misfit.
+        precision: Of constants and powers. Shape (q + s, 1 + p).
+    """
+
+    form: NetworkForm
+    weight: float
+    precision: FloatArray
+
+    @classmethod
+    def around(cls, network: Network, noise: float, width: float) -> Self:
+        """Return the cost where rows have a noise and powers a width."""
+        precision, n = network.form.precision.copy(), network.form.n_elements
+        precision[:n, 1:] = 2.0 * COST / (width**2 + network.weights[:n, 1:] ** 2)
+        return cls(network.form, 1.0 / (N_ALIKE * noise**2), precision)
+
+    def value(self, weights: FloatArray, misfit: FloatArray) -> float:
+        """Return the cost."""
+        known = float((self.precision * (weights - self.form.mean) ** 2).sum())
+        known += float(np.square(self._off_units(weights)).sum())
+        return 0.5 * (self.weight * float(np.square(misfit).sum()) + known)
+
+    def slope(self, weights: FloatArray, by_weights: FloatArray) -> FloatArray:
+        """Return the cost's slopes from those of half the squared misfit. Shape (q + s, 1 + p)."""
+        slope = self.weight * by_weights + self.precision * (weights - self.form.mean)
+        slope[: self.form.n_elements] += np.outer(self._off_units(weights), self.form.by_unit) / UNITS
+        return slope
+
+    def curvature(self, slopes: FloatArray, features: FloatArray) -> FloatArray:
+        """Return the curvature by what is free, without that of the misfits themselves. Shape (f, f)."""
+        n_blocks, n_features = self.precision.shape
+        products = np.matmul(slopes.transpose(0, 2, 1), slopes).reshape(len(features), -1)
+        squares = (features[:, :, None] * features[:, None, :]).reshape(len(features), -1)
+        # A slope by a weight is that by its element times its feature.
+        whole = self.weight * (products.T @ squares).reshape(n_blocks, n_blocks, n_features, n_features)
+        for element in range(self.form.n_elements):
+            whole[element, element] += np.outer(self.form.by_unit, self.form.by_unit) / UNITS**2
+        free = np.flatnonzero(self.form.is_free)
+        found = whole.transpose(0, 2, 1, 3).reshape(n_blocks * n_features, -1)[np.ix_(free, free)]
+        found[np.diag_indices(free.size)] += self.precision[self.form.is_free]
+        return np.asarray(found)
+
+    def _off_units(self, weights: FloatArray) -> FloatArray:
+        """Return how far powers of time are from what units demand, in standard deviations. Shape (q,)."""
+        form = self.form
+        off: FloatArray = weights[: form.n_elements] @ form.by_unit - form.powers * form.by_unit.any()
+        return off / UNITS
+
+
 def improved(fit: Fit, u: FloatArray, y: FloatArray, share: FloatArray, n_steps: int) -> Fit:
     """Go on fitting.
 
@@ -73,87 +159,65 @@ def improved(fit: Fit, u: FloatArray, y: FloatArray, share: FloatArray, n_steps:
         n_steps: Most steps.
     """
     network, width, noise = fit.network, fit.width, fit.noise
-    form = network.form
-    features = form.features(u, network.unit)
-    target = (y - network.level) * network.unit
-    root = np.sqrt(share)[:, None]
-    n_counted = float(share.sum()) * y[0].size
-    n_elements, (n_blocks, n_features) = form.n_elements, network.weights.shape
-    free = np.flatnonzero(form.is_free.reshape(-1))
-    by_unit = np.outer(form.by_unit, form.by_unit) / UNITS**2
-    squares = (features[:, :, None] * features[:, None, :]).reshape(len(u), -1)
-    precision = form.precision.copy()
-    damping, harder, n_little = DAMPING, HARDER, 0
-
-    def off(weights: FloatArray) -> FloatArray:
-        sums: FloatArray = weights[:n_elements] @ form.by_unit - form.powers * form.by_unit.any()
-        return sums / UNITS
-
-    def cost(weights: FloatArray, misfit: FloatArray) -> float:
-        known = float((precision * (weights - form.mean) ** 2).sum() + np.square(off(weights)).sum())
-        return 0.5 * (float(np.square(misfit).sum()) / (N_ALIKE * noise**2) + known)
-
-    def misfit_of(weights: FloatArray) -> FloatArray:
-        solved, _ = replace(network, weights=weights).solved(features, with_slopes=False)
-        return np.asarray(root * (solved - target).reshape(len(u), -1))
-
-    solved, slopes = network.solved(features, with_slopes=True)
-    misfit, slopes = root * (solved - target).reshape(len(u), -1), root[:, :, None] * slopes
+    rows = _Rows(
+        network.form.features(u, network.unit),
+        (y - network.level) * network.unit,
+        np.sqrt(share)[:, None],
+    )
+    damping, n_little = DAMPING, 0
+    misfit, slopes = rows.linearised(network)
     for _ in range(n_steps):
-        weights = network.weights
         width = max(width * NARROWER, NARROW)
-        noise = max(float(np.sqrt(np.square(misfit).sum() / n_counted)), FALL * noise, LEAST)
-        weight = 1.0 / (N_ALIKE * noise**2)
-        precision[:n_elements, 1:] = 2.0 * COST / (width**2 + weights[:n_elements, 1:] ** 2)
-        gradient = weight * np.einsum("rte,rt->re", slopes, misfit).T @ features
-        gradient += precision * (weights - form.mean)
-        gradient[:n_elements] += np.outer(off(weights), form.by_unit) / UNITS
-        products = np.matmul(slopes.transpose(0, 2, 1), slopes).reshape(len(u), -1)
-        hessian = weight * (products.T @ squares).reshape(n_blocks, n_blocks, n_features, n_features)
-        for element in range(n_elements):
-            hessian[element, element] += by_unit
-        hessian = hessian.transpose(0, 2, 1, 3).reshape(n_blocks * n_features, -1)[np.ix_(free, free)]
-        places = np.arange(free.size)
-        hessian[places, places] += precision.reshape(-1)[free]
-        slope, before = gradient.reshape(-1)[free], cost(weights, misfit)
-
-        def whole(step: FloatArray) -> FloatArray:
-            full = np.zeros(n_blocks * n_features)
-            full[free] = step
-            return full.reshape(n_blocks, n_features)
-
-        found = None
-        for _ in range(N_TRIALS):
-            damped = hessian.copy()
-            damped[places, places] += damping * form.precision.reshape(-1)[free]
-            factor = cho_factor(damped, overwrite_a=True, check_finite=False)
-            straight = whole(-cho_solve(factor, slope, check_finite=False))
-            # The bend of the path, from the second derivative along the step.
-            along = np.einsum("rte,re->rt", slopes, features @ straight.T)
-            bend = 2.0 / PART * ((misfit_of(weights + PART * straight) - misfit) / PART - along)
-            pull = weight * np.einsum("rte,rt->re", slopes, bend).T @ features
-            turn = whole(-cho_solve(factor, pull.reshape(-1)[free], check_finite=False))
-            size = np.sqrt((form.precision * straight**2).sum())
-            if np.sqrt((form.precision * turn**2).sum()) <= BENT * size:
-                step = straight + 0.5 * turn
-                step *= min(1.0, MOST_STEP / float(np.abs(step[:n_elements, 0]).max()))
-                there = misfit_of(weights + step)
-                after = cost(weights + step, there)
-                if after < before:
-                    expected = -float(slope @ straight.reshape(-1)[free]) * 0.5
-                    found = (weights + step, before - after, (before - after) / expected)
-                    break
-            damping *= harder
-            harder *= 1.5
+        noise = max(rows.size(misfit), FALL * noise, LEAST)
+        quadratic = _Quadratic.around(network, noise, width)
+        found = _step(network, rows, quadratic, misfit, slopes, damping)
         if found is None:
             break
-        # Nielsen's rule (1999): damping follows from how much of the expected gain was found.
-        damping = max(damping * max(EASIER, 1.0 - (2.0 * min(found[2], 1.0) - 1.0) ** 3), EASIEST)
-        harder = HARDER
-        network = replace(network, weights=found[0])
-        solved, slopes = network.solved(features, with_slopes=True)
-        misfit, slopes = root * (solved - target).reshape(len(u), -1), root[:, :, None] * slopes
-        n_little = n_little + 1 if found[1] < LITTLE else 0
+        network, gain, damping = found
+        misfit, slopes = rows.linearised(network)
+        n_little = n_little + 1 if gain < LITTLE else 0
         if n_little == N_LITTLE:
             break
-    return Fit(network, float(np.sqrt(np.square(misfit).sum() / n_counted)), width, noise)
+    return Fit(network, rows.size(misfit), width, noise)
+
+
+def _step(
+    network: Network,
+    rows: _Rows,
+    quadratic: _Quadratic,
+    misfit: FloatArray,
+    slopes: FloatArray,
+    damping: float,
+) -> tuple[Network, float, float] | None:
+    """Return the network after a step, what that gains, and the next damping; None where nothing gains."""
+    form, weights = network.form, network.weights
+    features, is_free = rows.features, form.is_free
+    curvature = quadratic.curvature(slopes, features)
+    by_weights = np.einsum("rte,rt->re", slopes, misfit).T @ features
+    slope, before = quadratic.slope(weights, by_weights)[is_free], quadratic.value(weights, misfit)
+    places, harder = np.diag_indices(slope.size), HARDER
+    straight, turn = np.zeros_like(weights), np.zeros_like(weights)
+    for _ in range(N_TRIALS):
+        damped = curvature.copy()
+        damped[places] += damping * form.precision[is_free]
+        factor = cho_factor(damped, overwrite_a=True, check_finite=False)
+        straight[is_free] = -cho_solve(factor, slope, check_finite=False)
+        # The bend of the path, from the second derivative along the step.
+        along = np.einsum("rte,re->rt", slopes, features @ straight.T)
+        beside = rows.misfit(replace(network, weights=weights + PART * straight))
+        bend = 2.0 / PART * ((beside - misfit) / PART - along)
+        pull = quadratic.weight * np.einsum("rte,rt->re", slopes, bend).T @ features
+        turn[is_free] = -cho_solve(factor, pull[is_free], check_finite=False)
+        size, bent = (float((form.precision * one**2).sum()) for one in (straight, turn))
+        if bent <= BENT**2 * size:
+            step = straight + 0.5 * turn
+            step *= min(1.0, MOST_STEP / float(np.abs(step[: form.n_elements, 0]).max()))
+            after = replace(network, weights=weights + step)
+            gain = before - quadratic.value(after.weights, rows.misfit(after))
+            if gain > 0.0:
+                # Damping follows from how much of the expected gain was found (Nielsen 1999).
+                part = min(gain / (-0.5 * float(slope @ straight[is_free])), 1.0)
+                return after, gain, max(damping * max(EASIER, 1.0 - (2.0 * part - 1.0) ** 3), EASIEST)
+        damping *= harder
+        harder *= 1.5
+    return None
