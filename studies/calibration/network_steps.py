@@ -13,13 +13,15 @@ N_TERMS = 13
 
 
 @compiled
-def _exponential(a: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+def _exponential(a: FloatArray, step: float, with_slopes: bool) -> tuple[FloatArray, FloatArray]:
     """Return exp([[a, 1], [0, 0]] step) and its slopes by the entries of a. Shapes (2s, 2s), (s s, 2s, 2s).
+
+    The slopes are zero where they are not wanted.
 
     By scaling and squaring (Higham 2005, doi:10.1137/04061101X), each operation with its derivative.
     """
     s = a.shape[0]
-    n, n_slopes = 2 * s, s * s
+    n, n_slopes = 2 * s, s * s if with_slopes else 0
     matrix = np.zeros((n, n))
     matrix[:s, :s] = a * step
     for i in range(s):
@@ -31,7 +33,7 @@ def _exponential(a: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
     scale = 0.5**n_squares
     matrix *= scale
     total, term = np.eye(n), np.eye(n)
-    slopes, slope = np.zeros((n_slopes, n, n)), np.zeros((n_slopes, n, n))
+    slopes, slope = np.zeros((s * s, n, n)), np.zeros((s * s, n, n))
     for order in range(1, N_TERMS + 1):
         for d in range(n_slopes):
             moved = slope[d] @ matrix
@@ -86,12 +88,15 @@ def steps(
     n_slopes = n_couplings + s
     y = np.empty((n, n_times, n_outputs))
     slopes = np.zeros((n, n_times, n_outputs, n_slopes)) if with_slopes else np.zeros((n, 0, 0, 0))
+    inputs = np.concatenate((potentials, sources), axis=1)
+    n_potentials = potentials.shape[1]
     x, flow, moved = np.empty(s), np.empty(s), np.empty(s)
     by_rate, by_coupling = np.empty((s * s, s)), np.empty((n_slopes, s))
     for point in range(n):
         rates = couplings[point]
         is_on = np.ones((n_patterns, n_couplings))
         exact, tangents = np.empty((n_patterns, 2 * s, 2 * s)), np.empty((n_patterns, s * s, 2 * s, 2 * s))
+        driven = np.zeros((n_patterns, s, inputs.shape[1]))
         for p in range(n_patterns):
             matrix = np.zeros((s, s))
             for e in range(n_couplings):
@@ -102,7 +107,9 @@ def steps(
                     matrix[i, j] += rates[e] * is_on[p, e]
                 if kind < 2:
                     matrix[i, i] -= rates[e] * is_on[p, e]
-            exact[p], tangents[p] = _exponential(matrix, step)
+                if kind > 0:
+                    driven[p, i, j + (kind - 1) * n_potentials] += rates[e] * is_on[p, e]
+            exact[p], tangents[p] = _exponential(matrix, step, with_slopes)
         x[:] = start[point]
         by_coupling[:] = 0.0
         for i in range(s):
@@ -113,12 +120,11 @@ def steps(
                 slopes[point, 0, k] = by_coupling[:, k]
         for m in range(pattern.size):
             p = pattern[m]
-            flow[:] = 0.0
-            for e in range(n_couplings):
-                if places[e, 0] == 1:
-                    flow[places[e, 1]] += rates[e] * is_on[p, e] * potentials[m, places[e, 2]]
-                elif places[e, 0] == 2:
-                    flow[places[e, 1]] += rates[e] * is_on[p, e] * sources[m, places[e, 2]]
+            for a in range(s):
+                total = 0.0
+                for b in range(inputs.shape[1]):
+                    total += driven[p, a, b] * inputs[m, b]
+                flow[a] = total
             if with_slopes:
                 for d in range(s * s):
                     for a in range(s):
