@@ -16,7 +16,7 @@ from studies.calibration.search_constants import SEARCH
 
 # Most steps of the first fit, in parts, and of each later one; shares of the outputs' standard deviation that
 # it may leave unexplained after the first part and at last.
-FIRST_STEPS, LATER_STEPS = (20, 25), 8
+FIRST_STEPS, LATER_STEPS = (20, 25), 15
 EXPLAINED = (0.15, 0.03)
 # Latest rows that are fitted: the best and the last ones are among them.
 MOST_ROWS = 48
@@ -25,11 +25,13 @@ MOST_ROWS = 48
 N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 16, 2, 2
 # A row whose error is so many times the best counts half, in all fits but the first.
 FAR = 30.0
-# Where less than the first part is to be gained, ends that lie so far from all rows are asked that are at
-# most the second part worse: they may lie in other valleys.
-LITTLE, APART, WORSE = 0.003, 0.1, 0.05
+# It proposes where it expects to gain this part of the best error.
+LITTLE = 0.003
+# After a round without gain a point costs its squared distance to the best row, times this part of the best
+# error; the next such round raises the part by a factor, and a gain lowers it.
+NEAR, NEARER = 0.3, 4.0
 # Rounds without gain after which it gives up.
-N_VAIN = 5
+N_VAIN = 6
 # Beside points that are known, others are drawn so far away. [1]
 BESIDE = 0.05
 
@@ -55,6 +57,7 @@ class HiddenNetwork:
         self._objective = np.empty(0)
         self._fit: Fit | None = None
         self._n_vain = 0
+        self._nearness = 0.0
         self._n_proposed = 0
         self._is_given_up = False
 
@@ -69,6 +72,8 @@ class HiddenNetwork:
         is_gain = bool((answer.objective < (1.0 - LITTLE) * best).any())
         if self._n_proposed:
             self._n_vain = 0 if is_gain else self._n_vain + 1
+            nearer = max(NEARER * self._nearness, NEAR)
+            self._nearness = self._nearness / NEARER if is_gain else nearer
         self._u = np.concatenate([self._u, answer.u[good]])
         self._y = np.concatenate([self._y, answer.y[good]])
         self._objective = np.concatenate([self._objective, answer.objective[good]])
@@ -88,16 +93,24 @@ class HiddenNetwork:
         best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
         rows = np.argsort(self._objective, kind="stable")[:N_ROWS]
         starts = np.concatenate([self._u[rows], self._ends, looks[best]])
-        ends, values = descend_together(self._residuals, prior, starts)
+        home, best_yet = self._u[rows[0]], float(self._objective.min())
+        cost = self._nearness * best_yet
+
+        def with_distance(u: FloatArray) -> FloatArray:
+            # Mean squares of the whole are those of the residuals, and the cost of the distance.
+            residuals = self._residuals(u)
+            m = residuals.shape[1]
+            whole = [residuals / np.sqrt(m), np.sqrt(cost) * (u - home)]
+            return np.concatenate(whole, axis=1) * np.sqrt(m + p)
+
+        ends, values = descend_together(with_distance, prior, starts)
         order = np.argsort(values, kind="stable")
         self._ends = ends[order[:N_ENDS]]
         points = np.empty((0, p))
-        best_yet = float(self._objective.min())
         for end, value in zip(ends[order], values[order], strict=True):
             distance = np.abs(np.concatenate([self._u, points]) - end).max(axis=1).min()
             is_better = value < (1.0 - LITTLE) * best_yet and distance > SEARCH.same_point
-            is_elsewhere = value < (1.0 + WORSE) * best_yet and distance > APART
-            if len(points) < n and (is_better or is_elsewhere):
+            if len(points) < n and is_better:
                 points = np.concatenate([points, end[None]])
         if not len(points):
             self._is_given_up = True
