@@ -15,13 +15,11 @@ these from the trials of an earlier Fig. 6, so that nothing is tuned.
 
 --from FOLDER draws Fig. 6, Fig. 7 or Table 4 from the files of an earlier run. Nothing is simulated or
 trained, and the recording is not needed. A clone of the repository has such files in data/paper-results.
-There --only fig6 without other options draws from them, unless it was made there. --budget makes it anew.
 
 Examples:
   studies reproduce-paper --dry-run                         what is made, and with how many trials
   studies reproduce-paper --only fig6 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
-  studies reproduce-paper office-recorded --only fig6       in a clone: drawn from the committed trials
   studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
   studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
 """
@@ -80,9 +78,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     items = chosen_items(chosen.only)
-    source = chosen.source or _committed(chosen, items, console)
-    if source is not None:
-        return _drawn(chosen, items, source, console)
+    if chosen.source is not None:
+        return _drawn(chosen, items, console)
     if chosen.hyperparameters is None and set(items) & set(NEEDS_FIG6):
         items = tuple(item for item in ITEMS if item in items or item == "fig6")
     plan = _plan(chosen, console)
@@ -118,29 +115,7 @@ def _show(shown: "Shown", files: list[str], console: Console) -> None:
         console.result(file)
 
 
-def _committed(chosen: argparse.Namespace, items: tuple[str, ...], console: Console) -> Path | None:
-    """Return the project's committed files of the one item that was asked for, None where it is to be made.
-
-    It is made where a word says how, where the files are of another case, or where it was made here before.
-    """
-    how = ("budget", "profile", "trials", "seed", "seeds", "hyperparameters")
-    is_plain = not chosen.dry_run and all(getattr(chosen, word) is None for word in how)
-    if not is_plain or len(items) != 1 or items[0] not in DRAWN:
-        return None
-    from studies.paper.unit_files import first_origin, size_files
-
-    paths = find_project(chosen.storage)
-    folder = paths.data / "paper-results" / items[0]
-    origin = first_origin(folder)
-    if origin is None or origin.case != chosen.case:
-        return None
-    if size_files(paths.results(origin.label) / "paper" / items[0]):
-        return None
-    console.say(f"{items[0]}: drawn from {paths.show(folder)}, as none was made here; --budget makes it anew")
-    return folder
-
-
-def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], source: Path, console: Console) -> int:
+def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console) -> int:
     """Draw an item from the files of an earlier run and return the exit code.
 
     Raises:
@@ -151,7 +126,7 @@ def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], source: Path, con
     beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))
     if others := [flag for flag, is_given in beside if is_given]:
         raise InputError(f"--from draws an item and does nothing else; remove {listed(others)}")
-    (item,), paths = items, find_project(chosen.storage)
+    (item,), source, paths = items, chosen.source, find_project(chosen.storage)
     origin, shown = module_of(item).drawn_from(source)
     if chosen.case != origin.case:
         raise InputError(f"{source} holds results of {origin.case}, not of {chosen.case}")

@@ -110,16 +110,6 @@ def read_sizes(folder: Path, kind: type[Unit], what: str) -> tuple[Origin, tuple
     return first, tuple(size for _, size in found)
 
 
-def first_origin(folder: Path) -> Origin | None:
-    """Return where the sizes of a folder come from, None where it holds none.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
-    files = size_files(folder)
-    return _read(files[0], dict[str, Any])[0] if files else None
-
-
 def _read(file: Path, kind: type[Unit]) -> tuple[Origin, Unit]:
     content = read_json(file)
     if content is None or content.get("schema") != SCHEMA:
