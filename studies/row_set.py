@@ -1,9 +1,7 @@
 """A set of stored rows: which parameters, in which order, of which store; the rows themselves lie there."""
 
-import hashlib
 import os
 import zipfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,22 +68,3 @@ class RowSet:
                 return store.read(self.theta[:n])
             except LookupError as error:
                 raise InputError(f"{self.file}: {error}; type: studies simulate") from None
-
-
-def content_of(blocks: Iterator[Trajectories]) -> tuple[str, list[str]]:
-    """Go once through rows, in bounded memory.
-
-    Args:
-        blocks: Consecutive rows; the digest does not depend on where a block ends.
-
-    Returns:
-        SHA-256 of parameters, outputs and reasons, in hexadecimal; why each row failed, "" where it is good.
-    """
-    theta, y = hashlib.sha256(), hashlib.sha256()
-    failures: list[str] = []
-    for block in blocks:
-        theta.update(np.ascontiguousarray(block.theta, dtype="<f8").data)
-        y.update(np.ascontiguousarray(block.y, dtype="<f8").data)
-        failures.extend(block.failures)
-    whole = hashlib.sha256(theta.digest() + y.digest() + repr(failures).encode())
-    return whole.hexdigest(), failures

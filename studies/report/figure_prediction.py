@@ -2,7 +2,7 @@
 
 from studies.report.drawing import POLISHED, SIMULATED, TRAINING, Axis, Figure, Panel, Series, time_axis
 from studies.report.wording import axis_label, percent, shown_unit
-from studies.stages.prediction import Prediction
+from studies.stages.stage_results import Prediction
 
 
 def prediction_figure(found: Prediction) -> Figure:

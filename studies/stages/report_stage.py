@@ -46,10 +46,8 @@ def report_stage(study: Study) -> Outcome[Reported]:
 
     index = study.paths.report(study.label) / "index.html"
     stage = Stage(study, "report", f"tables and figures of {study.label}", inputs, Reported)
-    before = stage.finished()
-    if before is not None:
-        return before
-    with stage.work() as work:
+
+    def write() -> Reported:
         data = ReportData(
             study.label,
             study.case,
@@ -63,7 +61,9 @@ def report_stage(study: Study) -> Outcome[Reported]:
         )
         write_page(data, index)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
-        return work.keep(Reported(study.paths.recorded(index)), [index], log=log_report)
+        return Reported(study.paths.recorded(index))
+
+    return stage.once(write, files=[index], log=log_report)
 
 
 def show_report(study: Study, found: Reported) -> None:

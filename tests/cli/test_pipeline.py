@@ -66,17 +66,16 @@ class Worker:
         self.file = study.results / "result.txt"
 
     def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome[Made]:
-        stage = Stage(self.study, "work", "working", inputs, Made)
-        before = stage.finished()
-        if before is not None:
-            return before
-        with stage.work() as work:
+        def work() -> Made:
             self.n_done += 1
             if self.is_interrupted:
                 raise KeyboardInterrupt
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self.file.write_text("result")
-            return work.keep(self.result, [self.file], is_finished=keep)
+            return self.result
+
+        stage = Stage(self.study, "work", "working", inputs, Made)
+        return stage.once(work, files=[self.file], is_kept=lambda _: keep)
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
