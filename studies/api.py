@@ -197,23 +197,20 @@ def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResul
 
 def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
     case, found, series = study.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
-    at, judged = case.measurement.time, found.determined_by_data
+    at, judged, space = case.measurement.time, found.determined_by_data, case.parameter_space
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
         series[output.name, "measured"] = pd.Series(samples.values, samples.time)
         series[output.name, "calibrated"] = pd.Series(np.interp(every, at, found.y[:, k]), every)
-    rows = {
-        one.name: (
-            found.theta[one.name],
-            one.unit,
-            one.lower,
-            one.upper,
-            None if judged is None else one.name not in judged.open,
-        )
-        for one in case.parameter_space.parameters
-    }
-    columns = ["value", "unit", "lower", "upper", "determined"]
-    theta = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    theta = pd.DataFrame(
+        {
+            "value": found.theta,
+            "unit": found.units,
+            "lower": dict(zip(space.names, space.lower.tolist(), strict=True)),
+            "upper": dict(zip(space.names, space.upper.tolist(), strict=True)),
+            "determined": {name: judged and name not in judged.open for name in space.names},
+        }
+    )
     return CalibrationResult(
         name=f"{study.label}/{outcome.name}",
         theta=theta.rename_axis("parameter"),

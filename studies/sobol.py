@@ -65,11 +65,6 @@ class SobolIndices:
         return {self.names[i]: (first[i], total[i]) for i in self.order()}
 
     @property
-    def news(self) -> str:
-        """How many rows they took."""
-        return f"{self.n_calls} simulations reused"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a failed row cost a block."""
         return self.n_dropped > 0

@@ -32,10 +32,6 @@ class Result(Protocol):
     """What a stage comes to: a frozen dataclass that terminal, page, MLflow and programs read alike."""
 
     @property
-    def news(self) -> str:
-        """What is said where the stage was finished before."""
-
-    @property
     def has_failures(self) -> bool:
         """Whether simulations failed that `--retry-failed` would ask again."""
 
@@ -268,7 +264,7 @@ class Stage(Generic[R]):
         if outcome is None or (self.study.retry_failed and outcome.result.has_failures):
             self.file.unlink(missing_ok=True)
             return None
-        self.study.console.say(f"{self.name}: finished before, {outcome.result.news}")
+        self.study.console.say(f"{self.name}: finished before")
         return outcome
 
 

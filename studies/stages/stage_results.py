@@ -1,6 +1,5 @@
 """What each stage comes to: one frozen dataclass, which terminal, page, MLflow and programs read alike."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +10,7 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
 from studies.report.records_tuning import TunedSize
-from studies.report.wording import count, listed, percent, significant
+from studies.report.wording import count, listed, percent
 from studies.stages.saved import WITH_ARRAYS, Error
 from studies.uncertainty.findings import Compensation
 from studies.uncertainty.identifiability import DETERMINED, Pair
@@ -83,11 +82,6 @@ class SimulatedSets:
     n_reused: int
 
     @property
-    def news(self) -> str:
-        """How many rows there are."""
-        return f"{count(sum(self.n.values()), 'simulation')} reused"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return any(self.n_failed.values())
@@ -113,11 +107,6 @@ class Reported:
     """
 
     index: str
-
-    @property
-    def news(self) -> str:
-        """Where it lies."""
-        return f"{self.index} is up to date"
 
     @property
     def has_failures(self) -> bool:
@@ -401,11 +390,6 @@ class Calibration:
     start_watched: BoolArray | None = None
 
     @property
-    def news(self) -> str:
-        """Its error."""
-        return f"final {self.error_name} {significant(self.mse, 4) if math.isfinite(self.mse) else 'failed'}"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return self.n_failed > 0
@@ -580,11 +564,6 @@ class Uncertainty:
     predictive: FloatArray
 
     @property
-    def news(self) -> str:
-        """What its sample is worth."""
-        return f"a sample worth {self.sample.n_effective:.0f} parameter sets"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return self.n_failed > 0
@@ -639,11 +618,6 @@ class Prediction:
     y: FloatArray
     simulated: FloatArray | None = None
     predictive: FloatArray | None = None
-
-    @property
-    def news(self) -> str:
-        """Where its table lies."""
-        return f"the table is {self.table}"
 
     @property
     def has_failures(self) -> bool:
