@@ -1,17 +1,14 @@
 """A set of stored rows: which parameters, in which order, of which store; the rows themselves lie there."""
 
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.store.store import SimulationStore
 from simulation.trajectories import Trajectories
-from simulation.whole_file import whole_file
+from studies.stages.saved import read_arrays, write_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +33,7 @@ class RowSet:
     def save(self) -> None:
         """Write the set; the store is named relative to it, so that both can be moved together."""
         store = Path(os.path.relpath(self.store, self.file.parent)).as_posix()
-        with whole_file(self.file) as stream:
-            np.savez(stream, allow_pickle=False, theta=self.theta, store=np.array(store))
+        write_arrays(self.file, {"theta": self.theta, "store": store})
 
     @classmethod
     def load(cls, file: Path) -> "RowSet":
@@ -46,13 +42,12 @@ class RowSet:
         Raises:
             InputError: If the file is missing or damaged.
         """
-        try:
-            with Path(file).open("rb") as stream, np.load(stream, allow_pickle=False) as content:
-                return cls(content["theta"], Path(file).parent / str(content["store"]), Path(file))
-        except FileNotFoundError:
-            raise InputError(f"{file}: no such file; type: studies simulate") from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(f"{file}: not a readable set of simulations ({error}); delete it") from error
+        if not file.is_file():
+            raise InputError(f"{file}: no such file; type: studies simulate")
+        content = read_arrays(file)
+        if not {"theta", "store"} <= content.keys():
+            raise InputError(f"{file} is no set of simulations; remove it")
+        return cls(content["theta"], file.parent / str(content["store"]), file)
 
     def read(self, n: int | None = None) -> Trajectories:
         """Read the rows.

@@ -104,7 +104,7 @@ def calibrate(
         study: the study.
         surrogate: what the box is screened with.
         n_train: size of its training set.
-        origin: which trial that is of, the fields `SURROGATE_FIELDS` of `Screened`; None leaves it open.
+        origin: of which trial it is, by the fields `SURROGATE_FIELDS` of `Screened`; None leaves it open.
     """
     case, profile = study.case, study.profile
     measurement, space = case.measurement, case.parameter_space

@@ -101,9 +101,8 @@ def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
     for name, rows in sets.items():
         if tuple(rows.parameter_names) != space.names:
             raise InputError(f"{files[name]} has other parameters than the case; simulate it again")
-    longer = {
-        key: getattr(budget, key) for key in ("max_epochs", "patience") if getattr(budget, key) is not None
-    }
+    longer = {"max_epochs": budget.max_epochs, "patience": budget.patience}
+    longer = {name: value for name, value in longer.items() if value is not None}
     found = []
     for n_train in study.profile.data.n_train:
         if sets["train"].n < n_train:
