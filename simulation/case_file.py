@@ -251,6 +251,7 @@ class ParameterTable(Table):
         scale: whether it is searched in its value or in the logarithm of it.
         description: what it means, for the reader.
         prior: what is known beforehand.
+        per_experiment: whether each experiment has a value of its own.
     """
 
     name: Name
@@ -261,6 +262,7 @@ class ParameterTable(Table):
     scale: Scale = "linear"
     description: str = ""
     prior: PriorTable | None = None
+    per_experiment: bool = False
 
     @model_validator(mode="after")
     def _prior_fits(self) -> Self:
@@ -290,7 +292,7 @@ class ParameterTable(Table):
                 value for value in (self.prior.within, self.prior.within_factor) if value is not None
             )
             belief = Belief(centre, width)
-        return Parameter(**self.model_dump(exclude={"prior"}), prior=belief)
+        return Parameter(**self.model_dump(exclude={"prior", "per_experiment"}), prior=belief)
 
 
 class FirstMeasured(Table):
@@ -351,6 +353,36 @@ class ReferenceTable(_WindowTable):
     target: bool = False
 
 
+class ExperimentTable(Table):
+    """Key [[experiments]]: one of several recordings that the same parameters explain.
+
+    What it does not say is as in the rest of the file.
+
+    Attributes:
+        name: name of the experiment; its outputs and own parameters are called `<name>@<experiment>`.
+        held_out: whether it is not calibrated, to try the result on.
+        weight: share of its outputs' error relative to the other experiments'. [1]
+        fmu: another FMU with the same parameters, from the folder of the case file.
+        interface: how that FMU is run.
+        data: another folder of recordings, from the folder of the case file.
+        time: keys of [time] that differ.
+        inputs: keys of [[inputs]] that differ, by `name`.
+        outputs: the outputs of this experiment, and what differs of their keys; without it, all.
+        fixed: values of [fixed] that differ.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+    held_out: bool = False
+    weight: Positive = 1.0
+    fmu: Name | None = None
+    interface: Literal["co-simulation", "model-exchange"] | None = None
+    data: Line | None = None
+    time: dict[str, Any] = Field(default_factory=dict)
+    inputs: list[dict[str, Any]] = Field(default_factory=list)
+    outputs: list[dict[str, Any]] = Field(default_factory=list)
+    fixed: dict[str, FixedValue] = Field(default_factory=dict)
+
+
 class CaseFile(Table):
     """A whole case.toml.
 
@@ -374,6 +406,7 @@ class CaseFile(Table):
         fixed: values of other parameters, inputs and initial states, by name.
         simulation: time-out and retries.
         references: known errors.
+        experiments: several recordings instead of one.
     """
 
     # Later schemas must say so, else an old program would read a new file wrongly.
@@ -395,6 +428,7 @@ class CaseFile(Table):
     fixed: dict[str, FixedValue] = Field(default_factory=dict)
     simulation: SimulationTable = SimulationTable()
     references: list[ReferenceTable] = Field(default_factory=list)
+    experiments: list[ExperimentTable] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:

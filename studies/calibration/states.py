@@ -136,6 +136,8 @@ class StateRows(NamedTuple):
 def why_unwatched(case: Case) -> str:
     """Say in a line why the states of a case's FMU cannot be watched, "" where they can."""
     fmu = case.fmu
+    if case.layout is not None:
+        return f"{case.path}: has several experiments, whose states are not watched"
     if not fmu.states:
         return f"{fmu.path}: declares no states, so nothing can be learnt from them"
     if len(fmu.states) > MOST_STATES:

@@ -236,7 +236,7 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
                     name,
                     *(errors if k == 0 else [MISSING] * 2),
                     output,
-                    difference_unit(case.outputs[k].unit),
+                    difference_unit(case.validation.outputs[k].unit),
                     count(fit.n_samples),
                     significant(fit.rmse),
                     significant(fit.bias),
