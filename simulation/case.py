@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -106,6 +106,7 @@ class Case:
         experiments: The experiments that this case joins, none where it is a single one. Fields that one
             experiment alone can have are then the first one's.
         layout: How their rows become one, None without experiments.
+        experiment: Name of the experiment that this case is of, "" where it is none of several.
     """
 
     name: str
@@ -128,6 +129,7 @@ class Case:
     validation: "Case | None" = None
     experiments: "tuple[Case, ...]" = ()
     layout: Layout | None = None
+    experiment: str = ""
 
     @property
     def interface(self) -> str:
@@ -238,12 +240,26 @@ def load_case(
         with errors_at(f"{path}: experiments[{one.name}]"):
             if one.file.time.validation is not None:
                 raise InputError("a validation period beside [[experiments]]; hold an experiment out instead")
-            cases[one.name] = _single(path, one.file, None, communication_step_s)
+            single = _single(path, one.file, None, communication_step_s)
+            cases[one.name] = replace(single, experiment=one.name)
     with errors_at(path):
         case = _of_experiments(cases, read)
         if window_d is not None and window_d != case.window_d:
             raise InputError("its experiments have windows of their own; change these in the case file")
     return case
+
+
+def named_experiments(case: Case) -> Iterator[tuple[str, Case]]:
+    """Yield name and case of each experiment, those that are held out as well; none of a single one."""
+    for joined in filter(None, (case, case.validation)):
+        if joined.layout is not None:
+            yield from zip((one.name for one in joined.layout.experiments), joined.experiments, strict=True)
+
+
+def with_step(case: Case, step_s: float) -> Case:
+    """Return the case of a single experiment with another communication step. [s]."""
+    whole = load_case(case.path, None if case.experiment else case.window_d, communication_step_s=step_s)
+    return next((one for name, one in named_experiments(whole) if name == case.experiment), whole)
 
 
 def _single(
@@ -341,6 +357,7 @@ def _joined(
         references=(),
         experiments=tuple(members),
         layout=layout,
+        experiment="",
     )
 
 

@@ -13,6 +13,7 @@ from simulation.measurement import Measurement, Samples
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 
+Names = tuple[tuple[str, ...], tuple[str, ...]]
 MARK = "@"
 """Between the name of an output or a parameter and that of the experiment that it belongs to."""
 
@@ -56,6 +57,20 @@ class Layout:
     def theta_of(self, experiment: Experiment, theta: FloatArray) -> FloatArray:
         """Return an experiment's own parameters. Shapes (n, p) and (n, q). [per parameter]."""
         return np.ascontiguousarray(theta[:, experiment.parameters])
+
+    def part(
+        self, experiment: Experiment, rows: Trajectories, names: Names, time: FloatArray
+    ) -> Trajectories:
+        """Return what rows are in one experiment.
+
+        Args:
+            experiment: The experiment.
+            rows: Rows of all experiments.
+            names: Its parameters and outputs.
+            time: Its output times. Shape (t,). [s]
+        """
+        y = np.ascontiguousarray(rows.y[:, : experiment.n_times, experiment.outputs])
+        return Trajectories(self.theta_of(experiment, rows.theta), y, time, *names, rows.failures)
 
     def join(self, theta: FloatArray, answers: Sequence[Trajectories]) -> Trajectories:
         """Put the answers of all experiments side by side.

@@ -142,8 +142,11 @@ class JoinedStore(SimulationStore):
         return self.layout.join(np.array(theta, dtype=np.float64), answers)
 
     def append(self, rows: Trajectories) -> None:
-        """Refuse rows: each experiment's lie in its own store."""
-        raise NotImplementedError("store the parts of a row in the experiments' stores")
+        """Store rows, part by part: what an experiment has already is not written again."""
+        for one, store in zip(self.layout.experiments, self.stores, strict=True):
+            parts = self.layout.part(one, rows, store.names, store.time)
+            is_new = ~store.find(parts.theta) | (~store.find_good(parts.theta) & ~parts.failed)
+            store.append(parts.take(is_new))
 
     def stream(self, theta: FloatArray) -> Iterator[Trajectories]:
         """Read rows block by block, in bounded memory, see `SimulationStore.stream`."""

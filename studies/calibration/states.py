@@ -12,6 +12,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.experiments import MARK, Experiment, Layout
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories, wrong_output
 
@@ -136,8 +137,8 @@ class StateRows(NamedTuple):
 def why_unwatched(case: Case) -> str:
     """Say in a line why the states of a case's FMU cannot be watched, "" where they can."""
     fmu = case.fmu
-    if case.layout is not None:
-        return f"{case.path}: has several experiments, whose states are not watched"
+    if case.experiments:
+        return next(filter(None, map(why_unwatched, case.experiments)), "")
     if not fmu.states:
         return f"{fmu.path}: declares no states, so nothing can be learnt from them"
     if len(fmu.states) > MOST_STATES:
@@ -170,6 +171,9 @@ def watching_states(case: Case) -> Case:
     Raises:
         InputError: If states cannot be watched, see `why_unwatched`.
     """
+    if case.layout is not None:
+        members = tuple(watching_states(one) for one in case.experiments)
+        return replace(case, experiments=members, layout=_watching(case.layout, members))
     signals, settings = StateSignals.of(case), case.settings
     named = (*signals.states, *signals.derivatives, *signals.locals)
     watched = tuple(name for name in named if name not in settings.output_names)
@@ -192,6 +196,20 @@ def watching_states(case: Case) -> Case:
         is_watched=True,
     )
     return replace(case, settings=answering, scenario=scenario, watched=watched)
+
+
+def _watching(layout: Layout, members: tuple[Case, ...]) -> Layout:
+    """Return how rows of experiments become one with all that is watched."""
+    experiments, names = list[Experiment](), list[str]()
+    for one, case in zip(layout.experiments, members, strict=True):
+        watched = case.settings.output_names
+        places = np.arange(len(names), len(names) + len(watched))
+        experiments.append(replace(one, outputs=places, n_times=len(case.scenario.time)))
+        names += (f"{name}{MARK}{one.name}" for name in watched)
+    longest = max((case.scenario.time for case in members), key=len)
+    return replace(
+        layout, output_names=tuple(names), time=longest - longest[0], experiments=tuple(experiments)
+    )
 
 
 class WatchedModel(WrappedModel):
@@ -224,6 +242,16 @@ class WatchedModel(WrappedModel):
         """Times of the outputs that are reported. Shape (t,). [s]."""
         return self._model.time[self.signals.n_before :]
 
+    @property
+    def watched_names(self) -> tuple[str, ...]:
+        """Names of the outputs and of all that is watched."""
+        return self._model.output_names
+
+    @property
+    def watched_time(self) -> FloatArray:
+        """Times at which it is watched. Shape (t,). [s]."""
+        return self._model.time
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row.
 
@@ -243,9 +271,13 @@ class WatchedModel(WrappedModel):
     def simulate_more(self, theta: FloatArray) -> Trajectories:
         """Simulate every row, and remember the rows before, too; see simulate."""
         answer = self._model.simulate(theta)
-        # Bytes are exact keys: `seen` is asked for the parameters as this simulation answered them.
-        self._last |= {row.tobytes(): y for row, y in zip(answer.theta, answer.y, strict=True)}
+        self.remember(answer)
         return self.reported(answer)
+
+    def remember(self, watched: Trajectories) -> None:
+        """Keep what the states did in rows that were simulated with them."""
+        # Bytes are exact keys: `seen` is asked for the parameters as this simulation answered them.
+        self._last |= {row.tobytes(): y for row, y in zip(watched.theta, watched.y, strict=True)}
 
     def reported(self, watched: Trajectories) -> Trajectories:
         """Return the outputs of rows that were simulated with their states and any warm-up of their own."""

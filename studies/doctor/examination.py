@@ -10,7 +10,7 @@ import numpy as np
 import studies.doctor.answers as answers
 import studies.doctor.variants as variants
 from simulation.arrays import FloatArray
-from simulation.case import load_case
+from simulation.case import named_experiments, with_step
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy
@@ -39,6 +39,18 @@ def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
         study: the case, and how many processes simulate at once.
         is_thorough: whether nothing is left out, however long it takes.
     """
+    if not study.case.experiments:
+        return _examine(study, is_thorough=is_thorough)
+    findings, longest_s = list[Finding](), 0.0
+    for name, case in named_experiments(study.case):
+        found = _examine(replace(study, case=case), is_thorough=is_thorough)
+        findings += (replace(one, what=f"{name}: {one.what}") for one in found.findings)
+        longest_s = max(longest_s, found.simulation_s)
+    return Diagnosis(tuple(findings), longest_s)
+
+
+def _examine(study: Study, *, is_thorough: bool) -> Diagnosis:
+    """Examine a single experiment."""
     case = study.case
     examination = _Examination(study, is_thorough=is_thorough)
     findings = [*look_at_declaration(case), *look_at_data(case)]
@@ -144,7 +156,7 @@ class _Examination:
     def _in_other_processes(self, nominal: Trajectories, again: list[Trajectories]) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
         case, budget, names = self._case, self.budget, self._case.scenario.input_names
-        halved = load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0)
+        halved = with_step(case, case.communication_step_s / 2.0)
         model = variants.circumstances(case, halved, self._base)
         policy = self._policy(budget.with_opening(budget.row_timeout_s))
         with PoolModel(model.open, min(budget.n_workers, 2 + len(names)), policy=policy) as other:

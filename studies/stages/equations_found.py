@@ -4,6 +4,7 @@ import numpy as np
 
 from simulation.case import Case
 from simulation.store.stored_model import StoredModel
+from studies.calibration.experiments_ode import ExperimentsODE, WatchedExperiments
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.states import StateSignals, why_unwatched
@@ -23,15 +24,22 @@ def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
     """
     if wish is None:
         return not why_unwatched(case)
-    if wish:
-        StateSignals.of(case)
+    for one in case.experiments or (case,):
+        if wish:
+            StateSignals.of(one)
     return wish
 
 
-def learned_ode_of(physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:
+def learned_ode_of(case: Case, physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:
     """Return what learns the state equations of a problem, None where the states are not watched."""
     if not isinstance(physical, StoredWatchedModel):
         return None
+    if case.layout is not None and isinstance(physical.watching, WatchedExperiments):
+        parts = [
+            (part, CalibrationProblem(part, one.measurement))
+            for part, one in zip(physical.watching.parts, case.experiments, strict=True)
+        ]
+        return ExperimentsODE(parts, case.layout, problem)
     return LearnedODE(physical.signals, physical.seen, problem)
 
 
