@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray, digest_of
+from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.case_parts import (
     check_inputs,
+    constraints,
     conversions,
     fixed_values,
     input_values,
+    ties,
     with_units,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
@@ -160,13 +162,15 @@ class Case:
         if self.layout is not None:
             return digest_of(self._joined("digest"), space.lower, space.upper)
         steps_s = (self.communication_step_s, self.output_step_s)
-        named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s})
+        kept = {"constraints": space.constraints} if space.constraints else {}
+        named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s} | kept)
         return digest_of(named, space.lower, space.upper, scenario.time_communication, *scenario.driving)
 
     @property
     def _named(self) -> dict[str, Any]:
         """What decides answers and has a name; what the case leaves as usual is left out."""
         chosen = {name: getattr(self.settings, name) for name in _CHOSEN}
+        chosen |= {"ties": [(one.name, one.expression) for one in self.settings.ties] or None}
         chosen |= {"watched": list(self.watched) or None, "said_units": dict(self.said_units) or None}
         return {
             "fmu": self.fmu.sha256,
@@ -184,6 +188,7 @@ class Case:
         return _json(
             {
                 "parameters": self.layout.parameter_names,
+                "constraints": self.parameter_space.constraints,
                 "experiments": [
                     (one.name, one.parameters.tolist(), getattr(case, digest)) for one, case in parts
                 ],
@@ -256,6 +261,37 @@ def named_experiments(case: Case) -> Iterator[tuple[str, Case]]:
             yield from zip((one.name for one in joined.layout.experiments), joined.experiments, strict=True)
 
 
+def of_experiment(case: Case, name: str | None, *, needed_for: str) -> tuple[Case, IntArray]:
+    """Return the case of one experiment, and its parameters among those of all.
+
+    Args:
+        case: The case, with experiments or without.
+        name: Name of the experiment; None where there is none to choose.
+        needed_for: What asks, for messages.
+
+    Raises:
+        InputError: If the name is missing, or of no experiment.
+    """
+    joined = [one for one in (case, case.validation) if one is not None and one.layout is not None]
+    if not joined:
+        if name is not None:
+            raise InputError(f"--experiment {name}: {case.path} has no [[experiments]]; leave it away")
+        return case, np.arange(case.parameter_space.n_parameters)
+    known = dict[str | None, tuple[Case, IntArray]]()
+    for one in joined:
+        assert one.layout is not None, "of those with one"
+        parts = zip(one.layout.experiments, one.experiments, strict=True)
+        known |= {part.name: (member, part.parameters) for part, member in parts}
+    if name not in known:
+        wrong = (
+            f"--experiment {name}: no experiment of {case.path}"
+            if name
+            else f"{needed_for} needs --experiment"
+        )
+        raise InputError(f"{wrong}; name one of: {', '.join(map(str, known))}")
+    return known[name]
+
+
 def with_step(case: Case, step_s: float) -> Case:
     """Return the case of a single experiment with another communication step. [s]."""
     whole = load_case(case.path, None if case.experiment else case.window_d, communication_step_s=step_s)
@@ -304,7 +340,12 @@ def _of_experiments(cases: Mapping[str, Case], read: Sequence[ReadExperiment]) -
             parameter = _parameter(cases[one.name], table)
             parameters.append(replace(parameter, name=f"{table}{MARK}{one.name}"))
             columns[one.name, table] = len(parameters) - 1
-    space = ParameterSpace(tuple(parameters))
+    pairs = dict.fromkeys(
+        (parameters[columns[one.name, small]].name, parameters[columns[one.name, large]].name)
+        for one in read
+        for small, large in cases[one.name].parameter_space.constraints
+    )
+    space = ParameterSpace(tuple(parameters), tuple(pairs))
     case = _joined(space, cases, calibrated, columns)
     held_out = [one for one in read if one.is_held_out]
     return replace(case, validation=_joined(space, cases, held_out, columns)) if held_out else case
@@ -368,7 +409,7 @@ def _said_units(file: CaseFile) -> dict[str, str]:
 
 def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, period: Period) -> Case:
     """Build the case whose measurement is that of a period."""
-    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters))
+    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters), constraints(file))
     parameters = conversions(fmu, "parameter", file.parameters)
     inputs = conversions(fmu, "input", file.inputs)
     check_inputs(file, fmu)
@@ -399,6 +440,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         output_factors=_unless(1.0, [one.factor for one in outputs]),
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),
         parameter_offsets=_unless(0.0, [one.offset for one in parameters]),
+        ties=ties(file, fmu),
     )
     return Case(
         name=file.name,

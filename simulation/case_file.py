@@ -404,6 +404,8 @@ class CaseFile(Table):
         outputs: outputs that are compared with measurements.
         parameters: parameters that are calibrated.
         fixed: values of other parameters, inputs and initial states, by name.
+        tied: parameters that follow from others, by name: `R2 = "3 * R1"`, in SI units.
+        constraints: pairs of calibrated parameters, as "R1 < R2"; every simulation keeps them.
         simulation: time-out and retries.
         references: known errors.
         experiments: several recordings instead of one.
@@ -426,6 +428,8 @@ class CaseFile(Table):
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
     fixed: dict[str, FixedValue] = Field(default_factory=dict)
+    tied: dict[str, Line] = Field(default_factory=dict)
+    constraints: list[Line] = Field(default_factory=list)
     simulation: SimulationTable = SimulationTable()
     references: list[ReferenceTable] = Field(default_factory=list)
     experiments: list[ExperimentTable] = Field(default_factory=list)
@@ -442,4 +446,8 @@ class CaseFile(Table):
         for name in self.fixed:
             if f"parameters[{name}]" in parameters:
                 raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")
+        for name in self.tied:
+            if name in self.fixed or f"parameters[{name}]" in parameters:
+                also = "[fixed]" if name in self.fixed else "[[parameters]]"
+                raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self

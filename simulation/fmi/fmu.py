@@ -17,6 +17,7 @@ from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
+from simulation.ties import Tie
 from simulation.trajectories import Trajectories, wrong_number, wrong_output
 
 
@@ -41,6 +42,7 @@ class FmuSettings:
         parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
         is_watched: Whether outputs may be no numbers without failing their row; who watches checks them.
+        ties: Parameters that follow from others.
     """
 
     path: Path
@@ -57,12 +59,24 @@ class FmuSettings:
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
     is_watched: bool = False
+    ties: tuple[Tie, ...] = ()
+
+    @property
+    def set_names(self) -> tuple[str, ...]:
+        """Parameters of a row and those that follow from them."""
+        return (*self.parameter_space.names, *(one.name for one in self.ties))
 
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
-        """Convert a row from the declared units to the FMU's. Shape (p,)."""
+        """Convert a row from the declared units to the FMU's, and add what is tied. Shapes (p,), (p + r,)."""
         if self.parameter_factors is not None:
             row = row * self.parameter_factors
-        return row if self.parameter_offsets is None else row + self.parameter_offsets
+        if self.parameter_offsets is not None:
+            row = row + self.parameter_offsets
+        if not self.ties:
+            return row
+        values = dict(zip(self.parameter_space.names, row.tolist(), strict=True))
+        numbers = {name: value for name, value in self.fixed.items() if not isinstance(value, str)}
+        return np.array([*row, *(one.value(numbers | values) for one in self.ties)])
 
     def plan(self, description: FmuDescription) -> RunPlan:
         """Find every variable in the FMU.
@@ -91,7 +105,7 @@ class FmuSettings:
         references = [variable.reference for variable in found(self.output_names, "output")]
         suggested = description.default_experiment.tolerance
         return RunPlan(
-            calibrated=found(self.parameter_space.names, "parameter"),
+            calibrated=found(self.set_names, "parameter"),
             fixed=tuple(held(name, value) for name, value in self.fixed.items()),
             input_variables=inputs,
             inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
@@ -189,7 +203,10 @@ class FmuModel:
         reason = wrong_number(self.parameter_space.names, row)
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
-            reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)
+            values = settings.parameters_for_fmu(row)
+            reason = wrong_number(settings.set_names, values)
+        if not reason:
+            reason = self._runner.run(values, self._y_simulated)
         if not reason:
             simulated = self._y_simulated[settings.scenario.n_warmup :]
             if settings.output_factors is not None:

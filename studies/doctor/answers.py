@@ -107,11 +107,10 @@ def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
 
 
 def moved_points(case: Case, base: FloatArray) -> FloatArray:
-    """Move each parameter to both of its bounds, one at a time. Shape (2 p, p)."""
+    """Move each parameter to both of its ends, one at a time. Shape (2 p, p)."""
     space, p = case.parameter_space, len(base)
     theta = np.tile(base, (2 * p, 1))
-    theta[2 * np.arange(p), np.arange(p)] = space.lower
-    theta[2 * np.arange(p) + 1, np.arange(p)] = space.upper
+    theta[2 * np.arange(p), np.arange(p)], theta[2 * np.arange(p) + 1, np.arange(p)] = space.ends(base)
     return theta
 
 
@@ -169,6 +168,7 @@ def look_at_bounds(
     failed, space = np.flatnonzero(answer.failed), case.parameter_space
     if not len(failed):
         return
+    ends = space.ends(base)
     good, bad = np.tile(space.to_unit(base), (len(failed), 1)), space.to_unit(answer.theta[failed])
     for _ in range(N_HALVINGS):
         if model is not None:
@@ -178,7 +178,8 @@ def look_at_bounds(
     regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
         one, is_upper = space.parameters[row // 2], bool(row % 2)
-        bound, where, side = (one.upper, "above", "upper") if is_upper else (one.lower, "below", "lower")
+        bound = ends[is_upper][row // 2]
+        where, side = ("above", "upper") if is_upper else ("below", "lower")
         begin = "" if model is None else f"{where} {edge[row // 2]:.3g}, "
         regions.append(
             f"{one.name} fails {begin}at its {side} bound {bound:.4g} {shown_unit(one.unit)}".rstrip()

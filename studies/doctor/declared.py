@@ -27,7 +27,8 @@ BARE = 0.05
 def look_at_declaration(case: Case) -> Iterator[Finding]:
     """Look at what the case and the FMU declare."""
     fmu, space, convert = case.fmu, case.parameter_space, case.settings.parameters_for_fmu
-    parameters, inputs = [fmu.variables[name] for name in space.names], case.scenario.input_names
+    parameters = [fmu.variables[name] for name in case.settings.set_names]
+    inputs = case.scenario.input_names
     parameter_count = count(len(parameters), "parameter")
     n_inputs, n_outputs = count(len(inputs), "input"), count(len(case.outputs), "output")
     yield finding(
