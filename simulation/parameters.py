@@ -166,9 +166,7 @@ class ParameterSpace:
             larger = {large for _, large in left}
             ready = [pair for pair in left if pair[0] not in larger]
             if not ready:
-                raise InputError(
-                    f"constraints {self._said(left[0])} and others contradict each other; drop one"
-                )
+                raise InputError(f"constraint {self._said(left[0])} contradicts others; drop one")
             pairs += ready
             left = [pair for pair in left if pair not in ready]
         return tuple(pairs)
