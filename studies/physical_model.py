@@ -12,8 +12,8 @@ from simulation.pool.pool_model import PoolModel
 from simulation.store.joined_store import JoinedStore, StoredExperiments
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from studies.calibration.experiments_ode import WatchedExperiments
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.experiments_ode import watched_model
+from studies.calibration.states import watching_states
 from studies.paths import ProjectPaths
 from studies.stages.pipeline import StageError, Study
 from studies.watched_model import StoredWatchedModel
@@ -88,21 +88,8 @@ def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator[StoredWatc
         open_physical_model(study) as plain,
         open_physical_model(study, case=watching_states(study.case)) as watched,
     ):
-        watching = _watching(study.case, watched)
+        watching = watched_model(study.case, watched)
         yield StoredWatchedModel(plain, watched, watching, n_first=n_first)
-
-
-def _watching(case: Case, watched: StoredModel) -> WatchedModel:
-    """Return what remembers the states of a case's rows, or of its experiments'."""
-    if case.layout is None:
-        return WatchedModel(watched, StateSignals.of(case))
-    with_states = watching_states(case)
-    assert with_states.layout is not None, "as the case has one"
-    parts = [
-        (one.parameter_space, more.settings.output_names, more.scenario.time, StateSignals.of(one))
-        for one, more in zip(case.experiments, with_states.experiments, strict=True)
-    ]
-    return WatchedExperiments(watched, with_states.layout, case.layout, parts)
 
 
 def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from simulation.case import Case
 from simulation.experiments import Experiment, Layout
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
@@ -16,7 +17,7 @@ from simulation.trajectories import Trajectories
 from studies.calibration.equation_model import EquationExperiments, EquationModel
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.states import StateSignals, WatchedModel
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 
 class _Part:
@@ -196,3 +197,38 @@ class ExperimentsODE(LearnedODE):
                 n = min(n_outputs or one.n_times, one.n_times)
                 y[:, :n, one.outputs] = part.outputs(u[:, one.parameters], None if n == one.n_times else n)
             return measurement.compared(y)
+
+
+def watched_model(case: Case, model: ForwardModel) -> WatchedModel:
+    """Return a model that answers a case's outputs and remembers what the states did.
+
+    Args:
+        case: The case, of one experiment or of several.
+        model: The model of `watching_states(case)`.
+    """
+    if case.layout is None:
+        return WatchedModel(model, StateSignals.of(case))
+    with_states = watching_states(case)
+    assert with_states.layout is not None, "as the case has one"
+    parts = [
+        (one.parameter_space, more.settings.output_names, more.scenario.time, StateSignals.of(one))
+        for one, more in zip(case.experiments, with_states.experiments, strict=True)
+    ]
+    return WatchedExperiments(model, with_states.layout, case.layout, parts)
+
+
+def learned_ode(case: Case, model: WatchedModel, problem: CalibrationProblem) -> LearnedODE:
+    """Return what learns the state equations of a case's problem.
+
+    Args:
+        case: The case, of one experiment or of several.
+        model: What `watched_model` returned.
+        problem: The problem.
+    """
+    if case.layout is None or not isinstance(model, WatchedExperiments):
+        return LearnedODE(model.signals, model.seen, problem)
+    parts = [
+        (part, CalibrationProblem(part, one.measurement))
+        for part, one in zip(model.parts, case.experiments, strict=True)
+    ]
+    return ExperimentsODE(parts, case.layout, problem)

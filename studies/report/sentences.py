@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulation.time_unit import DAY_S, period_text, unit_for
+from simulation.time_unit import DAY_S, unit_for
 from studies.calibration.misfit_threshold import misfit_threshold
 from studies.console import format_seconds
 from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
 from studies.report.wording import (
+    compared_in,
     count,
     difference_unit,
     listed,
@@ -37,6 +38,8 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     """Say what a calibration came to, what it cost and why it ended."""
     found, unit = outcome.result, square_of(case.outputs[0].unit)
     cost = count(found.n_calls_paper, "model call")
+    if case.experiments:
+        cost += f" in each of {count(len(case.experiments), 'experiment')}"
     if found.settings.get("n_parallel", 1) != 1:
         cost += f" in {count(found.n_rounds or 0, 'round')}"
     if found.n_warm_start:
@@ -65,7 +68,7 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
     for name, verdicts in judged_periods(case, found).items():
         period = days[name]
         if period is not None and (verdict := guideline_sentence(verdicts)):
-            said.append(f"On {period_text(period.window_d)} ({name}): {verdict}")
+            said.append(_begun(f"{compared_in(period)} ({name}): {verdict}"))
     return said
 
 
@@ -78,7 +81,11 @@ def _fit(case: "Case", found: Calibration) -> str:
             sensor = f"±{fit.uncertainty:g} {unit}".strip()
             part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
         parts.append(part)
-    return f"On {period_text(case.window_d)} {'; '.join(parts)}"
+    return _begun(f"{compared_in(case)} {'; '.join(parts)}")
+
+
+def _begun(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _outliers(case: "Case", found: Calibration) -> list[str]:
@@ -116,8 +123,8 @@ def judged_periods(case: "Case", found: Calibration) -> Mapping[str, tuple[Judge
     if case.validation is not None and found.validation is not None:
         fits = found.validation.final.outputs.values()
         periods["validation"] = tuple(
-            judged(case.validation.measurement, k, unit, fit)
-            for k, (unit, fit) in enumerate(zip(units, fits, strict=False))
+            judged(case.validation.measurement, k, output.unit, fit)
+            for k, (output, fit) in enumerate(zip(case.validation.outputs, fits, strict=False))
         )
     return periods
 
