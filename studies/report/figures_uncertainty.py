@@ -1,4 +1,4 @@
-"""Pictures of uncertainty: bands over the measurement, and intervals of the parameters."""
+"""Pictures of uncertainty: bands over time, and intervals of the parameters."""
 
 import numpy as np
 
@@ -17,50 +17,65 @@ from studies.report.drawing import (
     Figure,
     Panel,
     Series,
-    shortened,
     time_axis,
 )
 from studies.report.figures_calibration import output_axis
-from studies.report.wording import axis_label, difference_unit, percent
+from studies.report.wording import axis_label, percent, shown_unit
+from studies.stages.prediction import Prediction
 from studies.stages.stage_results import Uncertainty
 
 N_BINS = 40
 
 
 def band_figure(case: Case, found: Uncertainty) -> Figure:
-    """Show the bands of a posterior sample over the measurement, and below around their middle.
+    """Show the bands of a posterior sample over the measurement.
 
     Args:
         case: What was calibrated, against what.
         found: The uncertainty.
     """
-    places = range(len(case.outputs))
-    panels = [_bands(case, found, k, is_around_middle=around) for k in places for around in (False, True)]
+    axis, time_unit = time_axis(case.measurement.time)
+    at, dots, panels = time_unit.of_seconds(case.measurement.time), {"filled": True, "size": 10}, []
+    for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
+        series = _bands(at, found.predictive, found.simulated, k)
+        times = time_unit.of_seconds(samples.time)
+        series.append(Series("measured", MEASURED, times, samples.values, "point", dots))
+        panels.append(Panel(output.name, axis, output_axis(case, k), series))
     return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels))
 
 
-def _bands(case: Case, found: Uncertainty, k: int, *, is_around_middle: bool) -> Panel:
-    measurement = case.measurement
-    axis, time_unit = time_axis(measurement.time)
-    middle, samples = found.simulated.mean(axis=0), measurement.samples[k]
-    name, y, color, height = case.outputs[k].name, output_axis(case, k), MEASURED, 200
-    base, values = np.zeros(len(middle)), samples.values
-    if is_around_middle:
-        name, color, height = f"{name} around the middle", INK, 160
-        base, values = middle[:, k], -measurement.differences(middle[None], k)[0]
-        unit = shortened(difference_unit(case.outputs[k].unit), 10)
-        y = Axis(axis_label("around the middle", unit))
-    at, series = time_unit.of_seconds(measurement.time), []
-    for band, shade, what in (
-        (found.predictive, TRAINING, "with noise"),
-        (found.simulated, SIMULATED, "simulated"),
-    ):
-        low, high = band[:, :, k] - base
-        series.append(Series(what, shade, at, low=low, high=high))
-    times, dots = time_unit.of_seconds(samples.time), {"filled": True, "size": 10}
-    is_named = not is_around_middle
-    series.append(Series("measured", color, times, values, "point", dots, is_named=is_named))
-    return Panel(name, axis, y, series, height, has_legend=is_named)
+def prediction_figure(found: Prediction) -> Figure:
+    """Show each output of a calibrated model with other inputs over time, with its bands.
+
+    Args:
+        found: The prediction.
+    """
+    axis, time_unit = time_axis(found.time)
+    at, panels = time_unit.of_seconds(found.time), []
+    for k, (name, unit) in enumerate(zip(found.output_names, found.output_units, strict=True)):
+        series = _bands(at, found.predictive, found.simulated, k)
+        series.append(Series("calibrated", POLISHED, at, found.y[:, k]))
+        panels.append(Panel(name, axis, Axis(axis_label(name, shown_unit(unit))), series))
+    bands = "" if found.level is None else f", with {percent(found.level)} bands"
+    return Figure(f"The calibrated model with other inputs{bands}", tuple(panels))
+
+
+def _bands(
+    at: FloatArray, predictive: FloatArray | None, simulated: FloatArray | None, k: int
+) -> list[Series]:
+    """Return the bands of an output, the wider one first.
+
+    Args:
+        at: Times, in the axis's unit. Shape (t,).
+        predictive: Measured values to be expected, None without. Shape (2, t, k). [per output]
+        simulated: Simulations of equally good parameter sets, None without. Shape (2, t, k). [per output]
+        k: Place of the output.
+    """
+    return [
+        Series(what, color, at, low=band[0, :, k], high=band[1, :, k])
+        for what, color, band in (("with noise", TRAINING, predictive), ("simulated", SIMULATED, simulated))
+        if band is not None
+    ]
 
 
 def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
