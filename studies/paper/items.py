@@ -4,13 +4,12 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
 
 if TYPE_CHECKING:
     from studies.paper.plan import Plan
-    from studies.paper.unit_files import Origin
     from studies.report.drawing import Figure
 
 ITEMS = {
@@ -64,23 +63,12 @@ class Shown:
         return [folder / RESULT, write_png(self.figure, folder / self.picture, footnote=self.footnote)]
 
 
-class ItemModule(Protocol):
-    """The module behind an item."""
+def module_of(item: str) -> Any:
+    """Return the module of an item: its `run` takes a Plan and returns what is Shown.
 
-    def run(self, plan: "Plan") -> Shown:
-        """Compute it; what is finished is not computed again."""
-
-    def drawn_from(self, folder: Path) -> "tuple[Origin, Shown]":
-        """Return the same from the files of an earlier run; of the items `DRAWN` alone.
-
-        Raises:
-            InputError: the files cannot be read, or do not belong together.
-        """
-
-
-def module_of(item: str) -> ItemModule:
-    """Return the module that makes an item."""
-    return cast("ItemModule", importlib.import_module(f"studies.paper.{item}"))
+    A module of `DRAWN` also has `SIZE`, the dataclass of a training-set size, and `shown`, which draws these.
+    """
+    return importlib.import_module(f"studies.paper.{item}")
 
 
 def chosen_items(words: Sequence[str] | None) -> tuple[str, ...]:
@@ -117,7 +105,7 @@ def make(plan: "Plan", item: str) -> tuple[Shown, list[Path]]:
 
     started_s, study = time.time(), plan.study
     with study.console.stage(item, ITEMS[item]):
-        shown = module_of(item).run(plan)
+        shown: Shown = module_of(item).run(plan)
         files = shown.write(plan.folder(item), plan.command(item))
     log_stage(
         study.paths,

@@ -1,4 +1,4 @@
-"""One JSON file per finished unit (a training-set size, a row of Table 3), from which an item is drawn."""
+"""One JSON file per finished training-set size, from which an item is drawn."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from studies.stages.saved import plain, rebuilt
 from studies.tracking.origin import versions
 
 SCHEMA = 1
-Unit = TypeVar("Unit")
+Size = TypeVar("Size")
 
 
 @dataclass(frozen=True)
@@ -88,40 +88,25 @@ def size_files(folder: Path) -> list[Path]:
     return sorted(folder.glob("n[0-9]*.json"))
 
 
-def read_sizes(folder: Path, kind: type[Unit], what: str) -> tuple[Origin, tuple[Unit, ...]]:
+def read_sizes(folder: Path, kind: type[Size]) -> tuple[Origin, tuple[Size, ...]]:
     """Read what was found of all sizes of a folder, the smallest size first.
 
     Args:
         folder: with files of at least one size.
         kind: the dataclass that one file holds.
-        what: what they are, for an error.
 
     Raises:
         InputError: there is no file, one cannot be read, or they belong to different studies.
     """
-    files = size_files(folder)
-    if not files:
-        raise InputError(f"{folder} holds no {what}; name a folder with files such as n0032.json")
-    found = [_read(file, kind) for file in files]
-    first = found[0][0]
-    for file, (origin, _) in zip(files, found, strict=True):
-        if origin != first:
-            raise InputError(f"{file} belongs to other studies than {files[0].name}; remove one of them")
-    return first, tuple(size for _, size in found)
-
-
-def first_origin(folder: Path) -> Origin | None:
-    """Return where the sizes of a folder come from, None where it holds none.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
-    files = size_files(folder)
-    return _read(files[0], dict[str, Any])[0] if files else None
-
-
-def _read(file: Path, kind: type[Unit]) -> tuple[Origin, Unit]:
-    content = read_json(file)
-    if content is None or content.get("schema") != SCHEMA:
-        raise InputError(f"{file} holds no results of this item as this version writes them")
-    return rebuilt(Origin, content.get("origin"), str(file)), rebuilt(kind, content.get("size"), str(file))
+    origins, sizes = list[Origin](), list[Size]()
+    for file in size_files(folder):
+        content = read_json(file)
+        if content is None or content.get("schema") != SCHEMA:
+            raise InputError(f"{file} holds no results of this item as this version writes them")
+        origins.append(rebuilt(Origin, content.get("origin"), str(file)))
+        sizes.append(rebuilt(kind, content.get("size"), str(file)))
+        if origins[-1] != origins[0]:
+            raise InputError(f"{file} belongs to other studies than the smallest size; remove one of them")
+    if not sizes:
+        raise InputError(f"{folder} holds no results of this item; they are files such as n0032.json")
+    return origins[0], tuple(sizes)
