@@ -9,9 +9,8 @@ from simulation.case import Case
 from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.time_unit import DAY_S, period_text, unit_for
-from studies.calibration.prior import Prior
 from studies.doctor.finding import LONGEST, Finding, finding, named
-from studies.report.wording import count, difference_unit, quantity, squared
+from studies.report.wording import count
 
 COLDEST_K, COLDEST_DEGC = 150.0, -100.0
 LIKE_KELVIN = (200.0, 400.0)
@@ -28,11 +27,9 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     """Look at what the case and the FMU declare."""
     fmu, space, convert = case.fmu, case.parameter_space, case.settings.parameters_for_fmu
     parameters, inputs = [fmu.variables[name] for name in space.names], case.scenario.input_names
-    parameter_count = count(len(parameters), "parameter")
-    n_inputs, n_outputs = count(len(inputs), "input"), count(len(case.outputs), "output")
-    yield finding(
-        "declared", "ok", parameters=parameter_count, inputs=n_inputs, outputs=n_outputs, fmu=fmu.path.name
-    )
+    sizes = {"parameter": len(parameters), "input": len(inputs), "output": len(case.outputs)}
+    counts = {f"{noun}s": count(n, noun) for noun, n in sizes.items()}
+    yield finding("declared", "ok", fmu=fmu.path.name, **counts)
     yield _fmu(case)
     every = [fmu.variables[name] for name in fmu.names("input")]
     yield from named("inputs-left-alone", [one.name for one in every if one.is_out_of_reach])
@@ -40,16 +37,12 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     bare = [one.name for one in (*used, *parameters) if one.kind in REAL_KINDS and not one.unit]
     yield from named("no-unit", bare, n=count(len(bare), "variable"))
     boxes = zip(parameters, convert(space.lower), convert(space.upper), strict=True)
-    yield from named("bounds-beyond", [f"{v.name} ({_ends(v)})" for v, *box in boxes if _is_beyond(v, *box)])
-    numbers = {name: value for name, value in case.fixed.items() if not isinstance(value, str | bool)}
-    held = [(fmu.variables[name], value) for name, value in numbers.items()]
-    beyond = [f"{v.name} = {value:g} ({_ends(v)})" for v, value in held if _is_beyond(v, value, value)]
-    yield from named("fixed-beyond", beyond)
-    known = [one.name for one in space.parameters if one.prior is not None]
-    if prior := Prior.of(space, case.measurement):
-        weight = quantity(prior.weight, squared(difference_unit(case.outputs[0].unit)))
-        names = f"{', '.join(known[:LONGEST])}{', ...' * (len(known) > LONGEST)}"
-        yield finding("priors", "ok", names=names, parameters=parameter_count, weight=weight)
+    beyond = [f"{one.name} ({_ends(one)})" for one, *box in boxes if _is_beyond(one, *box)]
+    for name, value in case.fixed.items():
+        one = fmu.variables[name]
+        if not isinstance(value, str | bool) and _is_beyond(one, value, value):
+            beyond.append(f"{name} = {value:g} ({_ends(one)})")
+    yield from named("beyond", beyond)
 
 
 def look_at_data(case: Case) -> Iterator[Finding]:
@@ -117,7 +110,6 @@ def unit_problem(values: FloatArray, unit: str) -> str:
 def _fmu(case: Case) -> Finding:
     fmu, interface = case.fmu, case.fmu.interfaces[case.interface]
     said = f"FMI {fmu.fmi_version} {case.interface} by {fmu.generation_tool or 'an unnamed tool'}"
-    said += ", state can be saved" * interface.can_get_and_set_state
     said += ", one instance per process" * interface.can_be_instantiated_only_once_per_process
     if interface.needs_execution_tool:
         return finding("fmu-needs-its-tool", said=said)

@@ -16,7 +16,7 @@ from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
-from studies.circumstances import RestartModel
+from studies.circumstances import CircumstanceModel
 from studies.console import format_seconds
 from studies.doctor.declared import look_at_data, look_at_declaration
 from studies.doctor.finding import Diagnosis, Finding, finding, named
@@ -83,20 +83,18 @@ class _Examination:
                 # Inside the box: at a corner a parameter may do nothing.
                 after = alone.simulate(np.stack([answers.coverage_points(case, 1)[0], base]))
                 again = [answer, after.take([1])]
-                if budget.rows("starting the FMU over", 4, at_once=False):
-                    yield self._restart(after.take([0]))
+                if budget.rows("the same answer in any order", 1, at_once=False):
+                    yield [self._in_order(after.take([0]))]
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
         yield list(self._costs())
 
-    def _restart(self, later: Trajectories) -> list[Finding]:
+    def _in_order(self, later: Trajectories) -> Finding:
         """Ask a row as the first of a process that was answered after others in another."""
-        model = RestartModel((self._case.settings,), later.theta[0], self._base)
+        model = CircumstanceModel((self._case.settings,), later.theta[0])
         policy = self._policy(self.budget.with_opening(self.budget.first_timeout_s))
         with PoolModel(model.open, 1, policy=policy) as alone:
-            answer = alone.simulate(np.zeros((1, 1)))
-        first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
-        return [variants.look_at_order(later, first), *variants.look_at_restart(answer)]
+            return variants.look_at_order(later, alone.simulate(np.zeros((1, 1))))
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""

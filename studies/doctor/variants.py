@@ -1,6 +1,6 @@
 """The same FMU again and in other circumstances: after other rows, other inputs, half the step."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.trajectories import Trajectories
-from studies.circumstances import WAYS, CircumstanceModel
+from studies.circumstances import CircumstanceModel
 from studies.doctor.answers import SAME, with_unit
 from studies.doctor.finding import Finding, finding
 from studies.doctor.storing import MORE_TIME, STOPPED
@@ -20,7 +20,6 @@ INPUT_SHARE = 0.1
 """A constant input is changed by this share of its size."""
 EVEN = 1e-3
 """An input that differs by this share of its range from its reverse is the same in reverse."""
-_COSTS = {"state": "goes back to a saved state", "new instance": "gets a new instance"}
 
 
 def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceModel:
@@ -88,15 +87,6 @@ def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: T
         return finding("keeps-a-state", "fail", apart=within)
     most = max(between, within)
     return finding("repeats", "ok", exact="bit for bit" if most == 0.0 else f"within {most:.1g}")
-
-
-def look_at_restart(answer: Trajectories) -> Iterator[Finding]:
-    """Say how rows are started over, by the answer of a RestartModel; nothing where it failed or is slow."""
-    way = "undecided" if answer.failed[0] else WAYS[round(float(answer.y[0, 0, -1]))]
-    if way == "reset":
-        yield finding("restart", "ok")
-    elif way != "undecided":
-        yield finding("restart-fails", cost=_COSTS.get(way, "gets a new process"))
 
 
 def look_at_order(later: Trajectories, first: Trajectories) -> Finding:
