@@ -119,9 +119,6 @@ def make_explicit(model: FlatModel) -> Ode:
     n_states = len(model.states)
     algebraic = {v.name: solved[n_states + i] for i, v in enumerate(model.algebraics)}
     declared = {v.name: v for v in (*model.algebraics, *model.states, *model.discrete)}
-    for name in model.output_names:
-        if name not in declared:
-            raise CompileError(f"{model.name}: the output {name} is neither calculated nor a state")
     values = {**algebraic, **{v.name: v.symbol for v in (*model.states, *model.discrete)}}
     right_side = ca.cse(
         column([*(solved[i] for i in range(n_states)), *(values[name] for name in model.output_names)])
