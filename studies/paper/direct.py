@@ -5,6 +5,7 @@ tolerances are adapted to the FMU-settings" (Table 2): so defaults are used here
 tolerance that a row states. Calls are counted at the model, finite differences included, and not stored.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -19,11 +20,13 @@ from scipy.special import ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray
-from simulation.counting import BudgetExceeded, CountingModel
+from simulation.counting import BudgetExceeded
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.pool.pool_model import PoolModel
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.recorder import Recorder
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
 from studies.stages.saved import rebuilt
@@ -167,39 +170,6 @@ def start_points(space: ParameterSpace, row: Row) -> FloatArray:
     return np.clip(starts, space.lower, space.upper)
 
 
-class _Asked(CountingModel):
-    """The model as an optimizer sees it: counted, in its coordinates, the best point kept."""
-
-    def __init__(self, model: ForwardModel, measurement: Measurement, row: Row, stop: Event | None) -> None:
-        super().__init__(model, row.max_calls)
-        self._measurement, self._row, self._stop = measurement, row, stop
-        space = self.parameter_space
-        self.bounds = Bounds(space.lower, space.upper)
-        if row.in_unit_cube:
-            self.bounds = Bounds(np.zeros(space.n_parameters), np.ones(space.n_parameters))
-        self.best_mse = np.inf
-        self.best_theta: FloatArray = np.full(space.n_parameters, np.nan)
-
-    def residuals(self, x: FloatArray) -> FloatArray:
-        """Return the residuals at a point, those of a failure large and finite. Shape (m,)."""
-        if self._stop is not None and self._stop.is_set():
-            raise BudgetExceeded("the command was interrupted")
-        space, unit = self.parameter_space, self._row.in_unit_cube
-        theta = space.from_unit(x) if unit else np.clip(x, space.lower, space.upper)
-        answer = self.simulate(theta[None])
-        residuals = self._measurement.compared(answer.y)[0]
-        if answer.failures[0] or not np.all(np.isfinite(residuals)):
-            residuals = np.full(self._measurement.n_samples, np.sqrt(FAILED))
-        mse = float(np.mean(residuals**2))
-        if mse < self.best_mse:
-            self.best_mse, self.best_theta = mse, theta.copy()
-        handed: FloatArray = residuals**2 if self._row.is_squared else residuals
-        return handed
-
-    def mse(self, x: FloatArray) -> float:
-        return float(np.mean(self.residuals(x) ** 2))
-
-
 def minimize_from(
     model: ForwardModel, measurement: Measurement, row: Row, theta0: FloatArray, stop: Event | None = None
 ) -> Start:
@@ -215,42 +185,58 @@ def minimize_from(
     Returns:
         The best point it saw, whether or not the optimizer was content.
     """
-    asked = _Asked(model, measurement, row, stop)
-    x0 = model.parameter_space.to_unit(theta0) if row.in_unit_cube else theta0
-    solve = {"LS-TRF": _least_squares, "Differential evolution": _evolve}.get(row.method, _minimize)
+    recorder = Recorder(CalibrationProblem(model, measurement), phase="direct", max_calls=row.max_calls)
+    space, is_unit = model.parameter_space, row.in_unit_cube
+    p = space.n_parameters
+    bounds = Bounds(np.zeros(p), np.ones(p)) if is_unit else Bounds(space.lower, space.upper)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        if stop is not None and stop.is_set():
+            raise BudgetExceeded("the command was interrupted")
+        inside = np.clip(x, bounds.lb, bounds.ub)
+        answer = recorder.evaluate((inside if is_unit else space.to_unit(inside))[None])
+        found = answer.residuals[0]
+        if answer.failures[0]:
+            found = np.full(len(found), np.sqrt(FAILED))
+        handed: FloatArray = found**2 if row.is_squared else found
+        return handed
+
     try:
-        reason = solve(asked, row, x0)
+        reason = _solve(row, residuals, bounds, space.to_unit(theta0) if is_unit else theta0)
     except BudgetExceeded as over:
         reason = str(over)
     except (ValueError, np.linalg.LinAlgError) as error:
         reason = f"the optimizer failed: {error}"
-    return Start(tuple(asked.best_theta.tolist()), float(asked.best_mse), asked.n_calls, reason)
+    theta = theta0 if recorder.best is None else recorder.best.theta[0]
+    return Start(tuple(theta.tolist()), min(recorder.best_mse, FAILED), recorder.n_calls, reason)
 
 
-def _least_squares(asked: _Asked, row: Row, x0: FloatArray) -> str:
-    tol = 1e-8 if row.tolerance is None else row.tolerance  # SciPy's default of both
-    bounds = (asked.bounds.lb, asked.bounds.ub)
-    return str(least_squares(asked.residuals, x0, bounds=bounds, method="trf", ftol=tol, xtol=tol).message)
+def _solve(row: Row, residuals: Callable[[FloatArray], FloatArray], bounds: Bounds, x0: FloatArray) -> str:
+    """Let SciPy's optimizer of a row go from a point in its coordinates; return why it ended."""
+    # The methods of `minimize` take SciPy's own default for None.
+    tol, max_calls = row.tolerance, row.max_calls
+    if row.method == "LS-TRF":
+        tol = 1e-8 if tol is None else tol  # SciPy's default of both
+        ends = (bounds.lb, bounds.ub)
+        return str(least_squares(residuals, x0, bounds=ends, method="trf", ftol=tol, xtol=tol).message)
 
+    def mse(x: FloatArray) -> float:
+        return float(np.mean(residuals(x) ** 2))
 
-def _minimize(asked: _Asked, row: Row, x0: FloatArray) -> str:
+    if row.method == "Differential evolution":
+        generations = 1000 if max_calls is None else max_calls // (POPULATION * len(x0)) - 1
+        # Without SciPy's closing L-BFGS-B, which the paper's count excludes.
+        found = differential_evolution(
+            mse,
+            bounds,
+            popsize=POPULATION,
+            maxiter=max(1, generations),
+            tol=0.01 if tol is None else tol,
+            polish=False,
+            rng=np.random.default_rng(row.seed),
+        )
+        return str(found.message)
     # SLSQP has a limit of iterations instead, 100 by default.
-    options: Any = {} if row.max_calls is None or row.method == "SLSQP" else {"maxfev": row.max_calls}
+    options: Any = {} if max_calls is None or row.method == "SLSQP" else {"maxfev": max_calls}
     solver: Any = minimize  # the method is no literal here
-    found = solver(asked.mse, x0, method=row.method, bounds=asked.bounds, tol=row.tolerance, options=options)
-    return str(found.message)
-
-
-def _evolve(asked: _Asked, row: Row, x0: FloatArray) -> str:
-    generations = 1000 if row.max_calls is None else row.max_calls // (POPULATION * len(x0)) - 1
-    # Without SciPy's closing L-BFGS-B, which the paper's count excludes.
-    found = differential_evolution(
-        asked.mse,
-        asked.bounds,
-        popsize=POPULATION,
-        maxiter=max(1, generations),
-        tol=0.01 if row.tolerance is None else row.tolerance,
-        polish=False,
-        rng=np.random.default_rng(row.seed),
-    )
-    return str(found.message)
+    return str(solver(mse, x0, method=row.method, bounds=bounds, tol=tol, options=options).message)
