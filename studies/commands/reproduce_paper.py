@@ -119,7 +119,7 @@ def _is_drawn(chosen: argparse.Namespace, item: str, console: Console) -> bool:
     how = ("budget", "profile", "trials", "seed", "seeds", "hyperparameters")
     if item not in DRAWN or chosen.dry_run or any(getattr(chosen, word) is not None for word in how):
         return False
-    from studies.paper.unit_files import read_sizes, size_files
+    from studies.paper.items import read_sizes, size_files
 
     paths, module = find_project(chosen.storage), module_of(item)
     source = paths.data / "paper-results" / item

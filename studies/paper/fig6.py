@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.paper.items import Shown
+from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.paper.unit_files import Origin, origin_of, write_size
 from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.row_set import RowSet

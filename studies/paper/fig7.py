@@ -8,11 +8,10 @@ import numpy as np
 from pelsvae.metrics import Errors, errors
 from simulation.design import spread_design
 from simulation.trajectories import Trajectories
-from studies.paper.items import Shown
+from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.models import Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import N_IMPORTANT
-from studies.paper.unit_files import Origin, origin_of, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count

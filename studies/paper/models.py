@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from simulation.errors import InputError
 from studies.paper.fig6 import SizeTrials
+from studies.paper.items import read_sizes
 from studies.paper.plan import Plan
-from studies.paper.unit_files import read_sizes
 from studies.search_space import SearchParameter, Value
 from studies.stages.learn import tune_stage
 from studies.stages.pipeline import Study

@@ -10,11 +10,10 @@ from simulation.case import KnownError
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
-from studies.paper.items import Shown
+from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
-from studies.paper.unit_files import Origin, origin_of, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import (
     DIAMOND,

@@ -13,10 +13,9 @@ from project_for_tests import Answer, Run, add_case
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
 from simulation.trajectories import Trajectories
-from studies.doctor.answers import look_at_influence
+from studies.doctor.answers import changed_input, look_at_influence, look_at_order
 from studies.doctor.declared import look_at_data, look_at_declaration, unit_problem
 from studies.doctor.time_budget import EXAMINATION_S, TimeBudget
-from studies.doctor.variants import changed_input, look_at_order
 
 EXAMINED = {
     "names, units, bounds",

@@ -9,8 +9,8 @@ from toy_rc import ToyRC
 from simulation.counting import CountingModel
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from studies.paper.direct import Row, minimize_from, start_points
 from studies.paper.fig8 import largest_clusters
+from studies.paper.table3 import Row, minimize_from, start_points
 
 TRUTH = np.array([[1.7, 2.3e4]])
 ROWS = [

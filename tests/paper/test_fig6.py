@@ -16,7 +16,7 @@ from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 from simulation.errors import InputError
 from studies.cli import main
 from studies.paper.fig6 import SizeTrials, Trial, Tuning, shown
-from studies.paper.unit_files import read_sizes, write_size
+from studies.paper.items import read_sizes, write_size
 from studies.report.wording import count, percent, setting, significant
 from studies.search_space import SearchParameter
 from studies.tuning.study_results import importances

@@ -10,9 +10,8 @@ import pytest
 from paper_study_for_tests import COMMITTED
 
 from studies.paper.fig6 import SizeTrials
-from studies.paper.items import ITEMS, module_of
+from studies.paper.items import ITEMS, module_of, read_sizes, size_files
 from studies.paper.table4 import SizeCalibrations
-from studies.paper.unit_files import read_sizes, size_files
 from studies.paths import ProjectPaths
 from studies.tuning.study_results import read_studies
 

@@ -10,9 +10,9 @@ import pytest
 from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 
 from studies.paper import fig7
+from studies.paper.items import read_sizes, write_size
 from studies.paper.published import TABLE_4
 from studies.paper.table4 import SeedCalibration, SizeCalibrations, quartiles, shown
-from studies.paper.unit_files import read_sizes, write_size
 from studies.report.wording import count, significant
 
 DOCUMENTATION = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")

@@ -26,14 +26,15 @@ from simulation.measurement import Samples
 from simulation.time_unit import period_text
 from studies.report.drawing import Axis, Figure, Panel, Series, time_axis, with_gaps, write_png
 from studies.report.figures_calibration import (
+    band_figure,
     calibration_figure,
     calls_figure,
+    interval_figure,
     residual_reach,
     validation_figure,
 )
 from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
 from studies.report.figures_tuning import mae_over_n_figure
-from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 FIGURES: dict[str, Callable[[], Figure]] = {
