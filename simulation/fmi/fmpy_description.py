@@ -94,7 +94,6 @@ def interface_of(declared: Any) -> FmuInterface:
     """Convert an interface of fmpy."""
     return FmuInterface(
         model_identifier=str(declared.modelIdentifier),
-        can_get_and_set_state=bool(declared.canGetAndSetFMUstate),
         can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
         needs_execution_tool=bool(declared.needsExecutionTool),
     )

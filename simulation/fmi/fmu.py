@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
-from simulation.fmi.cosimulation import CoSimulation, SharedWarmup
+from simulation.fmi.cosimulation import CoSimulation
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.reset_proof import RestartingRunner, Way
+from simulation.fmi.reset_proof import RestartingRunner
 from simulation.fmi.runner import Solver
 from simulation.fmi.start import RunPlan, Start
 from simulation.fmi.unpack import unpacked
-from simulation.fmi.variable import FmuInterface, FmuVariable, Interface, Value
+from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.trajectories import Trajectories, wrong_number, wrong_output
@@ -38,8 +37,6 @@ class FmuSettings:
         relative_tolerance: Of the solver; None for the FMU's own.
         accepted: Band outside of which an output makes its row a failed one, None for no band. Shape (k, 2).
             [declared output units]
-        warmup_theta: Parameters with which the warm-up is simulated once, so that every row starts from the
-            state at its end; None for a warm-up of each row's own. Shape (p,). [declared units]
         output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
         parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
@@ -55,7 +52,6 @@ class FmuSettings:
     interface: Interface = "co-simulation"
     relative_tolerance: float | None = None
     accepted: FloatArray | None = None
-    warmup_theta: FloatArray | None = None
     output_factors: FloatArray | None = None
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
@@ -147,14 +143,7 @@ class FmuModel:
             stack.callback(scratch.remove)
             instance = FmuInstance(description, settings.interface, scratch.folder)
             stack.callback(instance.close)
-            warmup = settings.warmup_theta
-            self._runner = runner_for(
-                instance,
-                description,
-                plan,
-                interface=settings.interface,
-                warmup=None if warmup is None else settings.parameters_for_fmu(warmup),
-            )
+            self._runner = _runner(instance, description, plan, settings.interface)
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
@@ -217,39 +206,18 @@ class FmuModel:
         self.close()
 
 
-def runner_for(
-    instance: FmuInstance,
-    description: FmuDescription,
-    plan: RunPlan,
-    *,
-    interface: Interface,
-    warmup: FloatArray | None,
+def _runner(
+    instance: FmuInstance, description: FmuDescription, plan: RunPlan, interface: Interface
 ) -> RestartingRunner:
-    """Choose the solver of an FMU, and the ways to start it over.
+    """Choose the solver of an FMU.
 
     Args:
         instance: The FMU, just instantiated.
         description: What it says of itself.
         plan: What is set, stepped through and read.
         interface: How it is to be driven.
-        warmup: Parameters of a warm-up that all rows share, None for a warm-up of each row's own. Shape (p,).
-            [FMU's units]
-
-    Returns:
-        What answers rows.
-
-    Raises:
-        InputError: If the FMU cannot do what is asked for.
     """
-    where = str(description.path)
-    said = description.interface(interface, where)
     start = Start(instance, plan)
-    if warmup is not None:
-        _check_shared_warmup(where, interface, said, plan)
-        shared = SharedWarmup(CoSimulation(instance, plan, start), plan, start, warmup)
-        return RestartingRunner(
-            instance, shared, ways=("state",), trusting=True, prepare=shared.prepare, n_ignored=plan.n_warmup
-        )
     solver: Solver
     if interface == "co-simulation":
         solver = CoSimulation(instance, plan, start)
@@ -258,21 +226,5 @@ def runner_for(
         from simulation.fmi.exchange import ModelExchange
 
         solver = ModelExchange(instance, plan, start, description=description)
-    once = said.can_be_instantiated_only_once_per_process
-    ways: tuple[Way, ...] = ("reset", "state") if said.can_get_and_set_state else ("reset",)
-    # With one instance there is no second try: the surer way goes first.
-    return RestartingRunner(instance, solver, ways=ways[::-1] if once else ways, trusting=once)
-
-
-def _check_shared_warmup(where: str, interface: Interface, said: FmuInterface, plan: RunPlan) -> None:
-    if interface != "co-simulation" or not said.can_get_and_set_state:
-        raise InputError(
-            f"{where}: shared_warmup = true needs a co-simulation FMU that can get and set its state; "
-            "this one cannot, drop shared_warmup"
-        )
-    for variable in plan.calibrated:
-        if variable.causality != "parameter" or variable.variability != "tunable":
-            raise InputError(
-                f"{where}: shared_warmup = true, but {variable.name} can only be set before the warm-up "
-                f"(it is {variable.variability}, not tunable); drop shared_warmup"
-            )
+    once = description.interfaces[interface].can_be_instantiated_only_once_per_process
+    return RestartingRunner(instance, solver, trusting=once)

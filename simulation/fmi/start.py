@@ -125,7 +125,6 @@ class Start:
         ]
         self.seen = grouped([one for one, _ in continuous], [values for _, values in continuous])
         self.seen_table = _table(instance, self.seen)
-        self._set_parameters = _calls(self._parameters)
         asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
         experiment = (asked, tolerance, self._time, True, float(plan.edges[-1]))
         is_fmi2 = instance.prefix == "fmi2"
@@ -135,7 +134,7 @@ class Start:
             *(configuration if structural else []),
             *([("SetupExperiment", *experiment)] if is_fmi2 else []),
             *_calls(others),
-            *self._set_parameters,
+            *_calls(self._parameters),
             # FMI 3.0 has no SetupExperiment and takes the same arguments here.
             ("EnterInitializationMode", *(() if is_fmi2 else experiment)),
             # Inputs of the first step are set here too: initial values may depend on them.
@@ -152,28 +151,12 @@ class Start:
         Returns:
             Why it failed, in one line; "" when it did not.
         """
-        self._take(values)
-        failure = self._instance.call_all(self._calls, self._time)
-        self._instance.is_initialized = not failure
-        return failure
-
-    def set_parameters(self, values: FloatArray, time: float) -> str:
-        """Set the calibrated parameters.
-
-        Args:
-            values: Their values. Shape (p,). [FMU's units]
-            time: Simulated time, for the message. [s]
-
-        Returns:
-            Why it failed, in one line; "" when it did not.
-        """
-        self._take(values)
-        return self._instance.call_all(self._set_parameters, time)
-
-    def _take(self, values: FloatArray) -> None:
         for one in self._parameters:
             # In place: the prepared calls hold the address of this array.
             one.values[0] = values[one.columns]
+        failure = self._instance.call_all(self._calls, self._time)
+        self._instance.is_initialized = not failure
+        return failure
 
 
 def _table(instance: FmuInstance, settings: Sequence[Setting]) -> Any:

@@ -203,10 +203,6 @@ WRONG: dict[str, tuple[Change, str]] = {
         toml("[time]", "[time]\nstart_d = 0.5"),
         r"time\.start_d = 0\.5 does not lie between day 0 and the window's start, 0\.25",
     ),
-    "validation in a shared warm-up": (
-        toml("[time]", "[time]\nstart_d = 0\nshared_warmup = true\nvalidation_d = [0.0, 0.25]"),
-        r"validation_d = \[0, 0\.25\] lies in the warm-up, which is shared",
-    ),
     "window of odd length": (
         toml("[0.25, 0.75]", "[0.25, 0.76]"),
         r"not a whole number of output steps of 1800 s",
