@@ -62,31 +62,31 @@ def look_at_data(case: Case) -> Iterator[Finding]:
         step_s=case.communication_step_s,
         remedy="; ".join(remedies),
     )
-    inputs = dict(zip(scenario.input_names, scenario.inputs.T, strict=True))
-    outputs = list(zip(case.outputs, measurement.samples, strict=True))
-    series = [*inputs.items(), *((one.name, samples.values) for one, samples in outputs)]
-    yield from named("constant", [name for name, v in series if len(v) > 1 and np.ptp(v) == 0.0])
-    far, far_inputs, problems = [], [], []
-    for name, values in inputs.items():
-        unit, (floor, low, high) = case.fmu.variables[name].unit, _usual(values)
-        if values.min() < floor:
-            at_s = scenario.time_communication[int(np.argmin(values))]
-            least = f"{values.min():.6g} {unit}".rstrip()
-            far_inputs.append(f"{name} falls to {least} at {at_s:.12g} s, mostly {low:.4g} to {high:.4g}")
-        problems.append((name, unit_problem(values[values >= floor], unit)))
-    for output, samples in outputs:
-        is_far, unit = _is_far(samples.values), f" {output.unit}".rstrip()
-        others, at = samples.values[~is_far], np.flatnonzero(is_far)
+    edges, variables = scenario.time_communication, case.fmu.variables
+    series = [
+        (name, variables[name].unit, edges, values, _is_far_below(values))
+        for name, values in zip(scenario.input_names, scenario.inputs.T, strict=True)
+    ]
+    series += [
+        (output.name, output.unit, samples.time, samples.values, _is_far(samples.values))
+        for output, samples in zip(case.outputs, measurement.samples, strict=True)
+    ]
+    constant, far, problems = [], [], []
+    for name, unit, time, values, is_far in series:
+        others, at = values[~is_far], np.flatnonzero(is_far)
+        if len(values) > 1 and np.ptp(values) == 0.0:
+            constant.append(name)
         if len(at):
-            more = f" and {len(at) - 1} more" if len(at) > 1 else ""
+            value, more = f"{values[at[0]]:.6g} {unit}".rstrip(), f" and {len(at) - 1} more" * (len(at) > 1)
             far.append(
-                f"{output.name}: {samples.values[at[0]]:.6g}{unit} at {samples.time[at[0]]:.12g} s{more}; "
-                f"the others lie between {others.min():.4g} and {others.max():.4g}{unit}"
+                f"{name}: {value} at {time[at[0]]:.12g} s{more}; the others lie between {others.min():.4g} "
+                f"and {others.max():.4g}"
             )
-        problems.append((f"measured {output.name}", unit_problem(others, output.unit)))
+        if problem := unit_problem(others, unit):
+            problems.append(f"{name}: {problem}")
+    yield from named("constant", constant)
     yield from named("far", far, "; ")
-    yield from named("far-inputs", far_inputs, "; ")
-    yield from named("units-of-data", [f"{name}: {problem}" for name, problem in problems if problem], "; ")
+    yield from named("units-of-data", problems, "; ")
 
 
 def unit_problem(values: FloatArray, unit: str) -> str:
@@ -129,13 +129,14 @@ def _partly_covered(case: Case) -> Iterator[str]:
             yield f"{output.name} is covered{covered} of {unit.period(case.window_d)}"
 
 
-def _usual(values: FloatArray) -> tuple[float, float, float]:
-    """Return what nine tenths of an input's values lie between, after what none can have meant below it.
+def _is_far_below(values: FloatArray) -> BoolArray:
+    """Say which values of an input lie far below nine tenths of them, as none can have meant. Shape (n,).
 
     Far above them rain or a tap may be; and where a single cell is wrong, many interpolated values are.
     """
-    low, high = (float(one) for one in np.quantile(values, (0.05, 0.95)))
-    return (low - FAR * (high - low) if low < high else -np.inf), low, high
+    low, high = np.quantile(values, (0.05, 0.95))
+    far: BoolArray = (values < low - FAR * (high - low)) & (low < high)
+    return far
 
 
 def _is_far(values: FloatArray) -> BoolArray:

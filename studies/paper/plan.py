@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from simulation.errors import InputError, MachineError
+from simulation.errors import InputError
 from studies.profile import Profile
 from studies.stages.pipeline import Study
 
@@ -123,27 +123,16 @@ class Plan:
 
     def hyperparameter_study(self) -> Study:
         """Return the study of Fig. 6, with all sizes."""
-        return self._fig6_study(None, self.budget.n_train)
+        return self.opener(window=HYPERPARAMETER_WINDOW_D, n_train=self.budget.n_train)
 
     def faithful_study(self) -> Study | None:
         """Return the study of the faithful form that Fig. 6 shows beside it, None where none is planned."""
         if not self.budget.faithful_trials:
             return None
-        study = self._fig6_study(FAITHFUL_PROFILE, tuple(self.budget.faithful_trials))
+        sizes = tuple(self.budget.faithful_trials)
+        study = self.opener(window=HYPERPARAMETER_WINDOW_D, profile=FAITHFUL_PROFILE, n_train=sizes)
         tuning = replace(study.profile.tuning, baseline=False)
         return replace(study, profile=replace(study.profile, tuning=tuning))
-
-    def _fig6_study(self, profile: str | None, n_train: tuple[int, ...]) -> Study:
-        """Return the study of Fig. 6's window, or the case's own where the recording does not hold it."""
-        try:
-            return self.opener(window=HYPERPARAMETER_WINDOW_D, profile=profile, n_train=n_train)
-        except MachineError:
-            raise
-        except InputError as error:
-            # The user did not type this window: say the case's reason, without the option's name.
-            why = error.__cause__ or error
-            self.study.console.say(f"fig6: days 8 to 16 cannot be had ({why}); the case's own window is used")
-            return self.opener(profile=profile, n_train=n_train)
 
     def seed_studies(self) -> tuple[Study, ...]:
         """Return the studies of Table 4: all sizes with the plan's seed, then some with each further seed."""
