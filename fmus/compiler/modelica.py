@@ -1,7 +1,7 @@
 """Read a Modelica model as flat equations in CasADi symbols, by pymoca."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -70,9 +70,9 @@ class FlatModel:
     output_names: tuple[str, ...]
     residual: Any
     checks: tuple[Check, ...]
-    discrete: tuple[Variable, ...] = ()
-    truths: tuple[Any, ...] = ()
-    events: EventNames = field(default_factory=EventNames)
+    discrete: tuple[Variable, ...]
+    truths: tuple[Any, ...]
+    events: EventNames
 
 
 def read_model(sources: list[Path], class_name: str, *, with_events: bool = False) -> FlatModel:
