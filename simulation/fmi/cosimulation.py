@@ -63,7 +63,7 @@ class CoSimulation:
             self._start.input_table,
             plan.output_references,
             plan.edges,
-            plan.output_every,
+            plan.scenario.output_every,
             self._reached,
             y,
         )

@@ -90,7 +90,8 @@ class ModelExchange:
             longest_step_s=float(np.max(np.diff(plan.edges))),
         )
         # CVODE starts anew only where an input changes: its first steps are short and of first order.
-        is_change = np.any(plan.inputs[1:] != plan.inputs[:-1], axis=1)
+        inputs = plan.scenario.inputs
+        is_change = np.any(inputs[1:] != inputs[:-1], axis=1)
         self._changes = np.append(1 + np.flatnonzero(is_change), plan.n_steps)
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
@@ -106,7 +107,7 @@ class ModelExchange:
             self._changes,
             plan.output_references,
             plan.edges,
-            plan.output_every,
+            plan.scenario.output_every,
             self._tolerance,
             self._cvode.vectors,
             y,

@@ -93,12 +93,8 @@ class FmuSettings:
             calibrated=found(self.parameter_space.names, "parameter"),
             fixed=tuple(held(name, value) for name, value in self.fixed.items()),
             input_variables=inputs,
-            inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
-            inputs_at_edges=scenario.inputs_at_edges,
+            scenario=scenario,
             output_references=np.array(references, dtype=np.uint32),
-            edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
-            output_every=scenario.output_every,
-            n_warmup=scenario.n_warmup,
             tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
         )
 
