@@ -221,15 +221,9 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
     # An FMU may have a binary per interface, and not all of them for this platform.
     runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
     if not runnable:
-        platforms = {
-            name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1
-        }
-        held = (
-            f"it has one for {shortened(', '.join(sorted(platforms)))}" if platforms else "it has none at all"
-        )
         raise InputError(
-            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, "
-            f"{held}); export or compile it for {reading.PLATFORM_FOLDERS[version]}"
+            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing); "
+            f"export or compile it for {reading.PLATFORM_FOLDERS[version]}"
         )
     n_event_indicators = int(model.numberOfEventIndicators)
     if n_event_indicators < 0:

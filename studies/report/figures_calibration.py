@@ -11,16 +11,12 @@ from simulation.case import Case
 from simulation.parameters import ParameterSpace
 from studies.report.drawing import (
     BETWEEN_BOUNDS,
-    DIAMOND,
-    FAINT,
-    HOLLOW,
     INK,
     LOG,
     MEASURED,
     POLISHED,
     SCREENED,
     SIMULATED,
-    SURROGATE,
     TRAINING,
     Axis,
     Figure,
@@ -148,13 +144,12 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
     n_before, what = found.n_train, "training set"
     if found.is_adaptive:
         n_before, what = int(calls[0]), "stored rows" if found.n_warm_start else "first rows"
-    last = max(found.n_calls_paper, int(calls.max(initial=0)), _calls_to_polish(found) + 1)
+    last = max(found.n_calls_paper, int(calls.max(initial=0)), n_before + 1)
     first = 0.0 if found.is_adaptive else max(0.0, n_before - 0.6 * (last - n_before))
     before = f"{'← ' if first > 0 else ''}{what} ({count(n_before, 'call')})"
     series = [
         Series(before, TRAINING, [first], x_end=[n_before], mark="rect"),
         *reference_lines(case.references),
-        *_gap(found),
         Series(
             f"{quantity(final, unit)} {found.final}", POLISHED, np.append(calls, last),
             np.append(best, np.fmin.reduce(best, initial=final)), style={"interpolate": "step-after"},
@@ -164,24 +159,6 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
     panel = Panel(name, x, Axis(axis_label(f"best {name}", unit), LOG), series, 260)
     total = count(found.n_calls_paper, "model call")
     return Figure(f"Best {name} over model calls: {quantity(final, unit)} after {total}", (panel,))
-
-
-def _calls_to_polish(found: Calibration) -> int:
-    """Return the model calls before the polish began."""
-    return found.n_train + found.ledger["n_screen_checks"]
-
-
-def _gap(found: Calibration) -> list[Series]:
-    """Return the MSE by the surrogate and by the model, both at the screened point, and the gap between."""
-    if (screened := found.screening) is None:
-        return []
-    ends, both = [found.n_train, _calls_to_polish(found)], [screened.mse_surrogate, screened.mse]
-    gap = Series("gap", FAINT, ends, both, style={"strokeWidth": 3}, is_named=False)
-    return [
-        *([gap] if math.isfinite(screened.mse) else []),
-        Series("by the surrogate", SURROGATE, ends[:1], both[:1], "point", HOLLOW),
-        Series("by the model, as screened", SCREENED, ends[1:], both[1:], "point", DIAMOND),
-    ]
 
 
 def band_figure(case: Case, found: Uncertainty) -> Figure:
