@@ -55,7 +55,6 @@ class Row:
         max_calls: most model calls of one start; None for no limit but the optimizer's own.
         tolerance: `tol` of `minimize` and of `differential_evolution`, `ftol` and `xtol` of `least_squares`;
             None for SciPy's default.
-        is_squared: whether LS-TRF gets squared residuals as Table 2 says, which minimizes fourth powers.
         in_unit_cube: whether the optimizer sees the unit cube in the scales of the case, not the parameters
             as they are.
     """
@@ -65,7 +64,6 @@ class Row:
     seed: int = 0
     max_calls: int | None = None
     tolerance: float | None = None
-    is_squared: bool = False
     in_unit_cube: bool = False
 
     @property
@@ -76,8 +74,7 @@ class Row:
     @property
     def title(self) -> str:
         """The row as Table 3 calls it."""
-        form = ", squared residuals" if self.is_squared else ""
-        form += ", own scales" if self.in_unit_cube else ""
+        form = ", own scales" if self.in_unit_cube else ""
         if self.method == "Differential evolution":
             return self.method + form
         return f"{self.method}, {'guess' if self.n_starts == 1 else f'{self.n_starts} starts'}{form}"
@@ -217,11 +214,8 @@ def minimize_from(
             raise BudgetExceeded("the command was interrupted")
         inside = np.clip(x, bounds.lb, bounds.ub)
         answer = recorder.evaluate((inside if is_unit else space.to_unit(inside))[None])
-        found = answer.residuals[0]
-        if answer.failures[0]:
-            found = np.full(len(found), np.sqrt(FAILED))
-        handed: FloatArray = found**2 if row.is_squared else found
-        return handed
+        found: FloatArray = answer.residuals[0]
+        return np.full(len(found), np.sqrt(FAILED)) if answer.failures[0] else found
 
     try:
         reason = _solve(row, residuals, bounds, space.to_unit(theta0) if is_unit else theta0)
@@ -268,7 +262,7 @@ Found = list[tuple[Row, tuple[Start, ...], int | None, float | None]]
 
 
 def run(plan: Plan) -> Shown:
-    """Compute the rows of the budget, in the order of the paper, and LS-TRF in two other forms."""
+    """Compute the rows of the budget, in the order of the paper, and LS-TRF in the scales of the case."""
     study, folder = plan.study, plan.folder("table3")
     seed = study.profile.seed
     rows: list[tuple[Row, int | None, float | None]] = [
@@ -276,8 +270,7 @@ def run(plan: Plan) -> Shown:
         for method, n_starts, n_calls, mse in TABLE_3
         if n_calls <= plan.budget.max_row_calls
     ]
-    own = replace(SETTINGS["LS-TRF"], seed=seed)
-    rows += [(replace(own, is_squared=True), None, None), (replace(own, in_unit_cube=True), None, None)]
+    rows.append((replace(SETTINGS["LS-TRF"], seed=seed, in_unit_cube=True), None, None))
     found: Found = [(row, computed(study, row, folder), n_calls, mse) for row, n_calls, mse in rows]
     unit = squared(difference_unit(study.case.outputs[0].unit))
     return Shown(
