@@ -13,15 +13,14 @@ test, or paper for the networks as the paper describes them.
 Fig. 7 and Table 4 train the best network of each size in Fig. 6 once more. --hyperparameters FOLDER takes
 these from the trials of an earlier Fig. 6, so that nothing is tuned.
 
-A clone of the repository has the files of Fig. 6, Fig. 7 and Table 4 on the recording in
-data/paper-results. There `office-recorded --only fig6` without other options draws from them, without the
-recording, unless it was made there. --budget makes it anew.
+--from FOLDER draws Fig. 6, Fig. 7 or Table 4 from the files of an earlier run. Nothing is simulated or
+trained, and the recording is not needed. A clone of the repository has such files in data/paper-results.
 
 Examples:
   studies reproduce-paper --dry-run                         what is made, and with how many trials
   studies reproduce-paper --only fig6 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
-  studies reproduce-paper office-recorded --only fig6       in a clone: drawn from the committed trials
+  studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
   studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
 """
 
@@ -30,12 +29,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console
-from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of
+from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of, read_sizes
 from studies.paths import find_project
-from studies.report.wording import cell_text
+from studies.report.wording import cell_text, listed
 
 if TYPE_CHECKING:
     from studies.paper.items import Shown
@@ -60,6 +60,13 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
     )
     command.add_argument(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FOLDER",
+        help="with --only fig6, fig7 or table4: draw it from the files of an earlier run",
+    )
+    command.add_argument(
         "--hyperparameters",
         type=Path,
         metavar="FOLDER",
@@ -71,8 +78,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     items = chosen_items(chosen.only)
-    if len(items) == 1 and _is_drawn(chosen, items[0], console):
-        return OK
+    if chosen.source is not None:
+        return _drawn(chosen, items, console)
     if chosen.hyperparameters is None and set(items) & set(NEEDS_FIG6):
         items = tuple(item for item in ITEMS if item in items or item == "fig6")
     plan = _plan(chosen, console)
@@ -108,34 +115,29 @@ def _show(shown: "Shown", files: list[str], console: Console) -> None:
         console.result(file)
 
 
-def _is_drawn(chosen: argparse.Namespace, item: str, console: Console) -> bool:
-    """Draw an item from the files in the project's data folder; return whether it was.
-
-    It is not where an option says how, where the files are of another case, or where it was made here.
+def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console) -> int:
+    """Draw an item from the files of an earlier run and return the exit code.
 
     Raises:
-        InputError: a file cannot be read, or they do not belong together.
+        InputError: a word would be ignored, or the files are not those of the item and the case.
     """
-    how = ("budget", "profile", "trials", "seed", "seeds", "hyperparameters")
-    if item not in DRAWN or chosen.dry_run or any(getattr(chosen, word) is not None for word in how):
-        return False
-    from studies.paper.items import read_sizes, size_files
-
-    paths, module = find_project(chosen.storage), module_of(item)
-    source = paths.data / "paper-results" / item
-    if not size_files(source):
-        return False
+    if len(items) != 1 or items[0] not in DRAWN:
+        raise InputError(f"--from draws one item alone; add --only with one of {listed(DRAWN)}")
+    beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))
+    if others := [flag for flag, is_given in beside if is_given]:
+        raise InputError(f"--from draws an item and does nothing else; remove {listed(others)}")
+    (item,), source, paths = items, chosen.source, find_project(chosen.storage)
+    module = module_of(item)
     origin, sizes = read_sizes(source, module.SIZE)
-    folder = paths.results(origin.label) / "paper" / item
-    if origin.case != chosen.case or size_files(folder):
-        return False
-    console.say(f"{item}: drawn from {paths.show(source)}, as none was made here; --budget makes it anew")
+    if chosen.case != origin.case:
+        raise InputError(f"{source} holds results of {origin.case}, not of {chosen.case}")
+    command = f"studies reproduce-paper {origin.case} --only {item} --from {paths.show(source)}"
     shown: Shown = module.shown(origin, sizes)
-    files = shown.write(folder, f"studies reproduce-paper {origin.case} --only {item}")
+    files = shown.write(paths.results(origin.label) / "paper" / item, command)
     names = [paths.show(file) for file in files]
     _show(shown, names, console)
     console.document({"command": "reproduce-paper", "label": origin.label, "files": names})
-    return True
+    return OK
 
 
 def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":

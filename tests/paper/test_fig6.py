@@ -2,7 +2,6 @@
 
 import io
 import json
-import shutil
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -76,28 +75,14 @@ def draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Draw:
 @pytest.mark.parametrize(
     ("item", "picture"), [("fig6", "mae-over-n.png"), ("fig7", "spread.png"), ("table4", "fig9.png")]
 )
-def test_the_plain_command_draws_the_committed_files(
-    tmp_path: Path, draw: Draw, item: str, picture: str
-) -> None:
-    shutil.copytree(COMMITTED / item, tmp_path / "data" / "paper-results" / item)
-    code, document = draw("--only", item)
+def test_the_committed_files_are_drawn(tmp_path: Path, draw: Draw, item: str, picture: str) -> None:
+    code, document = draw("--only", item, "--from", str(COMMITTED / item))
     assert code == 0
     numbers, drawn = (tmp_path / file for file in document["files"])
     assert drawn.name == picture
     assert drawn.read_bytes().startswith(b"\x89PNG")
     assert [row["n_train"] for row in json.loads(numbers.read_text())["table"]][:2] == [32, 64]
     assert not (tmp_path / "mlruns" / "optuna.db").exists()
-
-
-def test_whoever_names_a_budget_or_has_made_the_figure_means_that_it_is_made(
-    tmp_path: Path, draw: Draw
-) -> None:
-    write_size(tmp_path / "data" / "paper-results" / "fig6", ORIGIN, 1024, size(1024, 0.1, 0.08))
-    assert draw("--only", "fig6")[0] == 0
-    assert "recording" in draw("--only", "fig6", "--budget", "small")[1]["error"]
-    made = tmp_path / "mlruns" / "results" / ORIGIN.label / "paper" / "fig6"
-    write_size(made, ORIGIN, 1024, size(1024, 0.1))
-    assert "recording" in draw("--only", "fig6")[1]["error"]
 
 
 def test_the_best_is_chosen_by_validation_beside_default_and_others() -> None:
@@ -140,10 +125,12 @@ def test_files_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert read_sizes(tmp_path, SizeTrials) == (ORIGIN, sizes)
 
 
-def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no results of this item"):
-        read_sizes(tmp_path, SizeTrials)
+def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Draw) -> None:
+    words = ("--only", "fig6", "--from", str(tmp_path))
+    assert "holds no results of this item" in draw(*words)[1]["error"]
     write_size(tmp_path, ORIGIN, 32, size(32, 1.2))
+    assert "remove --dry-run" in draw(*words, "--dry-run")[1]["error"]
+    assert "draws one item alone" in draw("--from", "trials")[1]["error"]
     write_size(tmp_path, replace(ORIGIN, seed=1), 64, size(64, 1.2))
     with pytest.raises(InputError, match=r"n0064.json belongs to other studies than the smallest size"):
         read_sizes(tmp_path, SizeTrials)
