@@ -42,7 +42,7 @@ from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
 from simulation.time_unit import DAY_S
 
-_CHOSEN = ("relative_tolerance", "accepted", "warmup_theta", "parameter_factors", "parameter_offsets")
+_CHOSEN = ("relative_tolerance", "accepted", "parameter_factors", "parameter_offsets")
 """Settings that decide what a model answers; None is as usual."""
 
 
@@ -436,7 +436,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         interface=file.interface,
         relative_tolerance=file.relative_tolerance,
         accepted=np.array(bands) if any(table.accepted for table in file.outputs) else None,
-        warmup_theta=space.expected if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),
         parameter_offsets=_unless(0.0, [one.offset for one in parameters]),

@@ -100,7 +100,6 @@ class TimeTable(_WindowTable):
         validation_d: begin and end of a part that is not calibrated, to try the result on.
         validation_s: the same in seconds.
         zero: the timestamp of time 0, for recordings with timestamps.
-        shared_warmup: whether the warm-up is simulated once, with the estimates.
         communication_step_s: step of a co-simulation, over which its inputs are held.
         output_step_s: step of the outputs, a multiple of the communication step.
     """
@@ -110,7 +109,6 @@ class TimeTable(_WindowTable):
     validation_d: Pair | None = None
     validation_s: Pair | None = None
     zero: Annotated[Name, BeforeValidator(_as_text)] | None = None
-    shared_warmup: bool = False
     communication_step_s: Positive
     output_step_s: Positive
 
@@ -244,7 +242,7 @@ class ParameterTable(Table):
 
     Attributes:
         name: the parameter of the FMU, or an input that is an unknown constant.
-        estimate: a usual value, for shared warm-ups, priors and fixed parameters. [unit]
+        estimate: a usual value, for priors and fixed parameters. [unit]
         lower: lower bound. [unit]
         upper: upper bound. [unit]
         unit: unit of its values.

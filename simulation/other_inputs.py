@@ -63,4 +63,4 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
     changes = conversions(case.fmu, "input", file.inputs)
     inputs, at_edges = input_values(file, case.fmu, data, changes, edges)
     scenario = Scenario(edges, inputs, case.scenario.input_names, every, inputs_at_edges=at_edges)
-    return replace(case.settings, scenario=scenario, warmup_theta=None)
+    return replace(case.settings, scenario=scenario)

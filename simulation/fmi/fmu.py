@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.fmi.cosimulation import CoSimulation
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.solver_choice import runner_for
-from simulation.fmi.start import RunPlan
+from simulation.fmi.reset_proof import RestartingRunner
+from simulation.fmi.runner import Solver
+from simulation.fmi.start import RunPlan, Start
 from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
@@ -36,8 +38,6 @@ class FmuSettings:
         relative_tolerance: Of the solver; None for the FMU's own.
         accepted: Band outside of which an output makes its row a failed one, None for no band. Shape (k, 2).
             [declared output units]
-        warmup_theta: Parameters with which the warm-up is simulated once, so that every row starts from the
-            state at its end; None for a warm-up of each row's own. Shape (p,). [declared units]
         output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
         parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
@@ -54,7 +54,6 @@ class FmuSettings:
     interface: Interface = "co-simulation"
     relative_tolerance: float | None = None
     accepted: FloatArray | None = None
-    warmup_theta: FloatArray | None = None
     output_factors: FloatArray | None = None
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
@@ -108,12 +107,8 @@ class FmuSettings:
             calibrated=found(self.set_names, "parameter"),
             fixed=tuple(held(name, value) for name, value in self.fixed.items()),
             input_variables=inputs,
-            inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
-            inputs_at_edges=scenario.inputs_at_edges,
+            scenario=scenario,
             output_references=np.array(references, dtype=np.uint32),
-            edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
-            output_every=scenario.output_every,
-            n_warmup=scenario.n_warmup,
             tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
         )
 
@@ -158,14 +153,7 @@ class FmuModel:
             stack.callback(scratch.remove)
             instance = FmuInstance(description, settings.interface, scratch.folder)
             stack.callback(instance.close)
-            warmup = settings.warmup_theta
-            self._runner = runner_for(
-                instance,
-                description,
-                plan,
-                interface=settings.interface,
-                warmup=None if warmup is None else settings.parameters_for_fmu(warmup),
-            )
+            self._runner = _runner(instance, description, plan, settings.interface)
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
@@ -229,3 +217,27 @@ class FmuModel:
     def __exit__(self, *_: object) -> None:
         """Close the model."""
         self.close()
+
+
+def _runner(
+    instance: FmuInstance, description: FmuDescription, plan: RunPlan, interface: Interface
+) -> RestartingRunner:
+    """Choose the solver of an FMU.
+
+    Args:
+        instance: The FMU, just instantiated.
+        description: What it says of itself.
+        plan: What is set, stepped through and read.
+        interface: How it is to be driven.
+    """
+    start = Start(instance, plan)
+    solver: Solver
+    if interface == "co-simulation":
+        solver = CoSimulation(instance, plan, start)
+    else:
+        # Here, because it loads CVODE and compiles its callbacks.
+        from simulation.fmi.exchange import ModelExchange
+
+        solver = ModelExchange(instance, plan, start, description=description)
+    once = description.interfaces[interface].can_be_instantiated_only_once_per_process
+    return RestartingRunner(instance, solver, trusting=once)

@@ -86,23 +86,22 @@ class StateSignals:
         edges, every = scenario.time_communication, scenario.output_every
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
         factors, n_outputs = case.settings.output_factors, len(case.settings.output_names)
-        n_unseen = scenario.n_warmup if case.settings.warmup_theta is not None else 0
         return cls(
             fmu.states,
             fmu.derivatives,
             scenario.input_names,
             tuple(fmu.variables[name].unit for name in named),
             tuple(fmu.depends_on.get(name) for name in fmu.derivatives),
-            scenario.inputs[n_unseen * every :],
+            scenario.inputs,
             float(edges[1] - edges[0]),
             every,
-            scenario.n_warmup - n_unseen,
+            scenario.n_warmup,
             case.settings.output_names,
             np.column_stack(
                 [np.ones(n_outputs) if factors is None else factors, case.settings.output_offsets]
             ),
             case.settings.accepted,
-            None if scenario.inputs_at_edges is None else scenario.inputs_at_edges[n_unseen * every :: every],
+            None if scenario.inputs_at_edges is None else scenario.inputs_at_edges[::every],
             others,
             tuple(fmu.variables[name].unit for name in others),
             tolerance=case.settings.relative_tolerance or fmu.default_experiment.tolerance or 0.0,

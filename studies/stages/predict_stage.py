@@ -14,7 +14,7 @@ from simulation.other_inputs import settings_with_inputs
 from simulation.whole_file import whole_file
 from studies.physical_model import open_physical_model
 from studies.report.drawing import write_png
-from studies.report.figure_prediction import prediction_figure
+from studies.report.figures_calibration import prediction_figure
 from studies.report.wording import count
 from studies.stages.finished import stored_uncertainties
 from studies.stages.knowledge import case_inputs

@@ -13,7 +13,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from studies.physical_model import open_physical_model
-from studies.report.guideline14 import output_fit
+from studies.report.output_fit import output_fit
 from studies.stages.pipeline import Study
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
