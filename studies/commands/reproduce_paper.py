@@ -33,7 +33,7 @@ from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console
-from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of
+from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of, read_sizes
 from studies.paths import find_project
 from studies.report.wording import cell_text, listed
 
@@ -89,7 +89,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         [Column("item"), Column("what")],
         [[item, ITEMS[item]] for item in items],
     )
-    trials = ", ".join(f"{n}: {budget.trials_of(n)}" for n in budget.n_train)
+    trials = ", ".join(f"{n}: {n_trials}" for n, n_trials in budget.trials.items())
     console.result(f"Trials by training-set size: {trials}")
     document = {"command": "reproduce-paper", "label": study.label, "budget": asdict(budget)}
     if chosen.dry_run:
@@ -127,10 +127,12 @@ def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console)
     if others := [flag for flag, is_given in beside if is_given]:
         raise InputError(f"--from draws an item and does nothing else; remove {listed(others)}")
     (item,), source, paths = items, chosen.source, find_project(chosen.storage)
-    origin, shown = module_of(item).drawn_from(source)
+    module = module_of(item)
+    origin, sizes = read_sizes(source, module.SIZE)
     if chosen.case != origin.case:
         raise InputError(f"{source} holds results of {origin.case}, not of {chosen.case}")
     command = f"studies reproduce-paper {origin.case} --only {item} --from {paths.show(source)}"
+    shown: Shown = module.shown(origin, sizes)
     files = shown.write(paths.results(origin.label) / "paper" / item, command)
     names = [paths.show(file) for file in files]
     _show(shown, names, console)
@@ -152,22 +154,21 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         trials=chosen.trials,
         n_seeds=chosen.seeds,
     )
-    seed = chosen.seed
 
     def opener(
         *,
-        window: tuple[float, float] | None = None,
-        seed: int | None = seed,
-        profile: str | None = None,
         n_train: tuple[int, ...],
+        window: tuple[float, float] | None = None,
+        seed: int | None = chosen.seed,
+        profile: str | None = None,
     ) -> "Study":
-        words = vars(chosen) | {
+        words = {
             "profile": profile or asked,
             "window": None if window is None else values.Window(*window),
             "seed": seed,
             "n_train": list(n_train),
         }
-        return open_study(argparse.Namespace(**words), console)
+        return open_study(argparse.Namespace(**vars(chosen) | words), console)
 
     words = [str(chosen.case)]
     for name in ("profile", "budget", "trials", "seeds", "seed", "hyperparameters"):

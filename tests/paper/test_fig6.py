@@ -14,8 +14,8 @@ from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 
 from simulation.errors import InputError
 from studies.cli import main
-from studies.paper.fig6 import SizeTrials, Trial, Tuning, read_trials, shown
-from studies.paper.unit_files import write_size
+from studies.paper.fig6 import SizeTrials, Trial, Tuning, shown
+from studies.paper.items import read_sizes, write_size
 from studies.report.wording import count, percent, setting, significant
 from studies.search_space import SearchParameter
 from studies.tuning.study_results import importances
@@ -94,7 +94,7 @@ def test_the_best_is_chosen_by_validation_beside_default_and_others() -> None:
 
 
 def test_the_committed_trials_are_what_the_documentation_says() -> None:
-    result = shown(*read_trials(COMMITTED / "fig6"))
+    result = shown(*read_sizes(COMMITTED / "fig6", SizeTrials))
     documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
     for row in result.rows:
         assert documented_row(dict(zip(result.columns, row, strict=True))) in documentation
@@ -122,21 +122,21 @@ def test_files_are_read_as_they_were_written(tmp_path: Path) -> None:
     sizes = (size(32, 1.2, 1.0), size(1024, 0.1, 0.08))
     for one in sizes:
         write_size(tmp_path, ORIGIN, one.n_train, one)
-    assert read_trials(tmp_path) == (ORIGIN, sizes)
+    assert read_sizes(tmp_path, SizeTrials) == (ORIGIN, sizes)
 
 
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Draw) -> None:
-    folder, words = tmp_path / "trials", ("--only", "fig6", "--from", "trials")
-    assert draw(*words)[1]["error"].startswith("trials holds no trials of Fig. 6")
-    write_size(folder, ORIGIN, 32, size(32, 1.2))
+    words = ("--only", "fig6", "--from", str(tmp_path))
+    assert "holds no results of this item" in draw(*words)[1]["error"]
+    write_size(tmp_path, ORIGIN, 32, size(32, 1.2))
     assert "remove --dry-run" in draw(*words, "--dry-run")[1]["error"]
     assert "draws one item alone" in draw("--from", "trials")[1]["error"]
-    write_size(folder, replace(ORIGIN, seed=1), 64, size(64, 1.2))
-    with pytest.raises(InputError, match=r"n0064.json belongs to other studies than n0032.json"):
-        read_trials(folder)
-    (folder / "n0064.json").write_text('{"schema": 1}')
+    write_size(tmp_path, replace(ORIGIN, seed=1), 64, size(64, 1.2))
+    with pytest.raises(InputError, match=r"n0064.json belongs to other studies than the smallest size"):
+        read_sizes(tmp_path, SizeTrials)
+    (tmp_path / "n0064.json").write_text('{"schema": 1}')
     with pytest.raises(InputError, match=r"n0064.json: .* use the version that wrote it"):
-        read_trials(folder)
+        read_sizes(tmp_path, SizeTrials)
 
 
 def test_what_decides_the_order_is_most_important() -> None:
