@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -53,6 +54,56 @@ class History:
         return History(self.n_calls + n_calls, self.best_mse)
 
 
+@dataclass(frozen=True)
+class SearchResult:
+    """The best point that a search has seen, and what it cost; make it with `Recorder.result`.
+
+    Attributes:
+        best: That point as the model answered. One row.
+        n_calls: Rows asked of the model.
+        history: Best MSE over rows asked.
+        stop_reason: Why the search ended, in words.
+        converged: False for a budget, a limit or a failure.
+    """
+
+    best: Evaluation
+    n_calls: int
+    history: History
+    stop_reason: str
+    converged: bool
+
+    @property
+    def u(self) -> FloatArray:
+        """The point in the unit cube. Shape (p,). [1]."""
+        u: FloatArray = self.best.u[0]
+        return u
+
+    @property
+    def theta(self) -> FloatArray:
+        """The same as parameters. Shape (p,). [per parameter]."""
+        theta: FloatArray = self.best.theta[0]
+        return theta
+
+    @property
+    def y(self) -> FloatArray:
+        """Trajectory there. Shape (t, k). [output's unit]."""
+        y: FloatArray = self.best.y[0]
+        return y
+
+    @property
+    def mse(self) -> float:
+        """Mean squared error there, infinite when no row succeeded. [first output's unit squared]."""
+        return float(self.best.mse[0])
+
+    @property
+    def objective(self) -> float:
+        """The same with a prior's penalty. [first output's unit squared]."""
+        return float(self.best.objective[0])
+
+
+R = TypeVar("R", bound=SearchResult)
+
+
 class Recorder:
     """Ask a problem's model through a counter; keep the best point and the history.
 
@@ -102,6 +153,18 @@ class Recorder:
             np.array([calls for calls, _ in self._entries], dtype=np.int64),
             np.array([mse for _, mse in self._entries], dtype=np.float64),
         )
+
+    def result(self, kind: type[R], reason: str, *, converged: bool, **more: Any) -> R:
+        """Return what has been found and paid so far, and how the search ended.
+
+        Args:
+            kind: Class of the result.
+            reason: Why the search ended.
+            converged: Whether that is more than a limit.
+            more: What results of that kind have beside.
+        """
+        assert self.best is not None, "a budget of at least one row lets the first rows be asked"
+        return kind(self.best, self.n_calls, self.history, reason, converged, **more)
 
     def know(self, evaluation: Evaluation) -> None:
         """Take note of rows that were simulated before (warm start)."""
