@@ -15,13 +15,13 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
+from studies.calibration.box_newton import Expansion
 from studies.calibration.coefficient import Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationModel
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
-from studies.calibration.residual_process import Expansion
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.state_equations import LEAST_TO_LEARN, StateEquations, Structure
 from studies.calibration.state_terms import spread
@@ -55,6 +55,8 @@ PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 # With 14 rows at first, 14 parameters took 16 calls to 1.02 times instead of 12;
 # with 8 rows, up to 31 (the same note, First form).
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
+
+DIFFERENT = "not all simulations follow the same ones"
 
 LEAST_CALLS = LEAST_TO_LEARN + 1
 """The rows that the simplest equations are learnt from, and the best point that these expect."""
@@ -151,7 +153,7 @@ class LearnedODE:
         """How solved equations differ from the best simulation, as a share of its squared residuals. [1]."""
         mse = np.mean(self._answered**2, axis=1)
         best = int(np.argmin(mse))
-        error = np.mean((self._residuals(self._u[[best]])[0] - self._answered[best]) ** 2)
+        error = self._errors(self._u[[best]], self._answered[[best]])[0]
         share = float(error / (mse[best] + np.finfo(float).tiny))
         return share if np.isfinite(share) else np.inf
 
@@ -238,8 +240,7 @@ class LearnedODE:
         self.predicted = None
         if self._equations is not None:
             # Whatever proposed the point: equations that were given up may predict it by now.
-            with np.errstate(all="ignore"):
-                error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
+            error = self._errors(answer.u[:1], answer.residuals[:1])[0]
             is_known = bool(good[0]) and error <= MISSED * answer.mse[0]
             self._n_missed = 0 if is_known else self._n_missed + 1
         rows = self._seen(answer.theta)
@@ -253,24 +254,26 @@ class LearnedODE:
         self._locals.note(shown)
         self._positions.note(shown)
         self._answered = np.concatenate([self._answered, answer.residuals[whole]])
-        self._equations = self._learnt()
-        if is_missed and self._equations is not None and not self._equations.is_exact:
+        learnt = self._learnt()
+        if is_missed and isinstance(learnt, StateEquations) and not learnt.is_exact:
             # Formulas that held and hold no more: this row belongs to another regime.
-            self._equations, self._is_refuted = None, True
-            self.why_not = "not all simulations follow the same ones"
+            learnt, self._is_refuted = DIFFERENT, True
+        if isinstance(learnt, str):
+            self.why_not = learnt
+        self._equations = None if isinstance(learnt, str) else learnt
         self._mismatch = self._mismatch_of(self._u[-N_MATCHED:], self._answered[-N_MATCHED:])
 
-    def _learnt(self) -> StateEquations | None:
+    def _learnt(self) -> StateEquations | str:
+        """Learn the equations from all rows; say in words why there are none."""
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
             if len(self._u) < max(2 * self._n_examined, LEAST_TO_LEARN):
-                return None
+                return self.why_not
             self._n_examined = len(self._u)
             signals, structure = self._found_structure()
             self.misfit = structure.misfit
             if structure.lacking:
-                self.why_not = structure.why_not(signals)
-                return None
+                return structure.why_not(signals)
             self._signals, self._structure = structure.of_used(signals)
             self._course = None
         rows = self._all_rows(self._signals)
@@ -278,20 +281,17 @@ class LearnedODE:
         # Written so that NaN counts as a misfit, too.
         if not self.misfit <= self._structure.most_left:
             self._structure = None
-            self.why_not = "not all simulations follow the same ones"
-            return None
+            return DIFFERENT
         points = Points.of(self._problem.space, self._u)
         equations = StateEquations.learn(
             self._signals, self._structure, points, rows.x, found, self._products
         )
         if isinstance(equations, str):
-            self.why_not = equations
             # One more row may show what a switch does.
             if not self._signals.n_switches:
                 self._structure = None
-            return None
-        if self._signals.n_hidden and self._course is None:
-            equations = self._with_course(equations, points, rows.x)
+        elif self._signals.n_hidden and self._course is None:
+            return self._with_course(equations, points, rows.x)
         return equations
 
     def _found_structure(self) -> tuple[StateSignals, Structure]:
@@ -349,10 +349,8 @@ class LearnedODE:
         """Return how exact equations, solved, differ from what was simulated, as a share of errors. [1]."""
         if self._equations is None or not self._equations.is_exact:
             return 0.0
-        with np.errstate(all="ignore"):
-            error = np.mean((self._residuals(u) - answered) ** 2, axis=1)
         mse = np.mean(answered**2, axis=1)
-        shares = error / (mse + MATCHED * np.median(mse))
+        shares = self._errors(u, answered) / (mse + MATCHED * np.median(mse))
         return float(np.max(np.where(np.isfinite(shares), shares, np.inf)))
 
     def propose(
@@ -409,14 +407,20 @@ class LearnedODE:
             ends, _ = descend_together(residuals, self._problem.prior, starts[best])
         return np.concatenate([ends, looks])
 
+    @np.errstate(all="ignore")
+    def _errors(self, u: FloatArray, answered: FloatArray) -> FloatArray:
+        """Return the mean squared differences of the equations' residuals and simulated ones. Shape (n,)."""
+        errors: FloatArray = np.mean((self._residuals(u) - answered) ** 2, axis=1)
+        return errors
+
+    @np.errstate(all="ignore")
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         assert self._equations is not None, "equations are learnt before they are solved"
         measurement = self._problem.measurement
-        with np.errstate(all="ignore"):
-            points = Points.of(self._problem.space, u)
-            if n_outputs is None:
-                return measurement.compared(self._equations.outputs(points))
-            y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
-            y[:, :n_outputs] = self._equations.until(n_outputs).outputs(points)
-            return measurement.compared(y)
+        points = Points.of(self._problem.space, u)
+        if n_outputs is None:
+            return measurement.compared(self._equations.outputs(points))
+        y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
+        y[:, :n_outputs] = self._equations.until(n_outputs).outputs(points)
+        return measurement.compared(y)

@@ -129,7 +129,7 @@ class Recorder:
             on_progress: Called after each batch.
         """
         self._counter = CountingModel(problem.model, budget=max_calls)
-        self._problem = problem.on(self._counter)
+        self.problem = problem.on(self._counter)
         self._phase = phase
         self._n_total = max_calls if n_total is None else n_total
         self._on_progress = on_progress
@@ -179,7 +179,7 @@ class Recorder:
         Raises:
             BudgetExceeded: The rows do not fit into what is left; nothing was simulated.
         """
-        evaluation = self._problem.evaluate(u)
+        evaluation = self.problem.evaluate(u)
         self._note(evaluation)
         if self._on_progress is not None:
             self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))

@@ -23,6 +23,7 @@ from studies.calibration.state_terms import (
     N_ROWS,
     N_TIMES,
     Sum,
+    Term,
     candidates,
     candidates_with_functions,
     candidates_with_products,
@@ -30,7 +31,7 @@ from studies.calibration.state_terms import (
     spread,
 )
 from studies.calibration.states import StateRows, StateSignals
-from studies.calibration.switch_rules import SwitchRules
+from studies.calibration.switch_rules import switch_rules
 from studies.calibration.term_choice import chosen_terms, fitted
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave: at least, and at most
@@ -108,18 +109,12 @@ class Structure:
         kept = [*range(n_declared), *sorted(place for place in used if place >= n_declared)]
         place_of = {-1: -1} | {place: rank for rank, place in enumerate(kept)}
         columns = [place - n_states for place in kept[n_states:]]
-        sums = tuple(
-            replace(
-                one,
-                terms=tuple(
-                    term._replace(
-                        column=place_of[term.column], factors=tuple(place_of[place] for place in term.factors)
-                    )
-                    for term in one.terms
-                ),
-            )
-            for one in self.sums
-        )
+
+        def moved(term: Term) -> Term:
+            factors = tuple(place_of[place] for place in term.factors)
+            return term._replace(column=place_of[term.column], factors=factors)
+
+        sums = tuple(replace(one, terms=tuple(map(moved, one.terms))) for one in self.sums)
         fewer = replace(
             signals,
             inputs=tuple(signals.inputs[one] for one in columns),
@@ -237,7 +232,7 @@ class StateEquations:
         start: States at the first output that is watched.
         flow: Solves them.
         is_exact: Whether all of that are formulas, found from enough rows.
-        limits: Thresholds of switches, and shortest times between their changes, see `SwitchRules`.
+        limits: Thresholds of switches, and shortest times between their changes, see `switch_rules`.
     """
 
     signals: StateSignals
@@ -300,12 +295,15 @@ class StateEquations:
             return "the coefficients beside the positions of switches are no formulas"
         some = spread(len(x), MOST_RULE_ROWS)
         points, derivatives = points.part(some), self.structure.sums[: len(self.signals.states)]
-        rules = SwitchRules.of(self.signals, derivatives, x[some], self._rates(points))
-        limits = tuple(Coefficient.fit(points, column, products) for column in rules.limits.T)
-        is_known = (np.isfinite(rules.limits).sum(axis=0) >= LEAST_TO_LEARN).all()
-        if rules.lacking or not is_known or not all(one.is_exact for one in limits):
-            return f"{rules.lacking or 'a switch'} changes at no threshold that was found"
-        flow = SteppedFlow(self.signals, derivatives, rules.places)
+        found = switch_rules(self.signals, derivatives, x[some], self._rates(points))
+        if isinstance(found, str):
+            return found
+        rules, by_row = found
+        limits = tuple(Coefficient.fit(points, column, products) for column in by_row.T)
+        is_known = (np.isfinite(by_row).sum(axis=0) >= LEAST_TO_LEARN).all()
+        if not is_known or not all(one.is_exact for one in limits):
+            return "a switch changes at no threshold that was found"
+        flow = SteppedFlow(self.signals, derivatives, rules)
         return replace(self, flow=flow, limits=limits)
 
     def driven_by(self, driven: FloatArray) -> Self:

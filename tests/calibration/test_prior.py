@@ -176,13 +176,13 @@ def test_derivatives_are_exact() -> None:
     prior = line_problem().prior
     assert prior is not None
     u, step = np.array([0.2, 0.5, 0.9]), 1e-6
-    value, gradient, hessian = prior.expand(u)
+    found = prior.expand(u)
     moved = prior.penalty(u + step * np.eye(3))
-    assert value == prior.penalty(u[None])[0]
-    np.testing.assert_allclose((moved - value) / step, gradient, rtol=1e-4, atol=1e-6)
+    assert found.value == prior.penalty(u[None])[0]
+    np.testing.assert_allclose((moved - found.value) / step, found.gradient, rtol=1e-4, atol=1e-6)
     slopes = np.diag(prior.rows(u + step * np.eye(3), 12) - prior.rows(u[None], 12)) / step
     np.testing.assert_allclose(prior.row_slopes(12), slopes, rtol=1e-6)
-    np.testing.assert_allclose(hessian, np.diag(prior.row_slopes(12) ** 2) * 2 / 12, rtol=1e-12)
+    np.testing.assert_allclose(found.hessian, np.diag(prior.row_slopes(12) ** 2) * 2 / 12, rtol=1e-12)
 
 
 def test_without_a_prior_the_objective_is_the_mse_itself() -> None:
