@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -81,28 +80,15 @@ def fit_processes(
             if one.n_rows and epoch > last:
                 last = epoch
                 # One kernel for all codes: shares are chosen at the end, and this shows how far it is.
-                alone = _Members(one.hyper[None], np.ones((1, len(basis))))
-                report(_assembled(rows.first(one.n_rows), basis, alone), one.loss, epoch)
+                alone = _assembled(rows.first(one.n_rows), basis, one.hyper[None], np.ones((1, len(basis))))
+                report(alone, one.loss, epoch)
         # By place, so the result does not depend on the order in which searches end.
         found.sort(key=lambda one: one.place)
         known = validation[0], validation[1] @ basis.T
-        members = _members(rows, known, found, config.n_members)
-        network = _assembled(rows, basis, members)
+        network = _assembled(rows, basis, *_members(rows, known, found, config.n_members))
         of_all_codes = next(one.loss for one in found if one.is_final)
         report(network, of_all_codes, config.max_epochs)
     return network
-
-
-class _Members(NamedTuple):
-    """The Gaussian processes that are averaged, and their shares.
-
-    Attributes:
-        hypers: Of the processes. Shape (m, h).
-        share: Of the processes in the codes. Shape (m, z).
-    """
-
-    hypers: Array
-    share: Array
 
 
 class _Rows:
@@ -143,8 +129,12 @@ def _members(
     validation: tuple[Tensor, Tensor],
     found: list[Candidate],
     n_members: int,
-) -> _Members:
-    """Choose members by the validation set, whose codes are known as the training set's are."""
+) -> tuple[Array, Array]:
+    """Choose members by the validation set, whose codes are known as the training set's are.
+
+    Returns:
+        Hyperparameters of the members, shape (m, h), and their shares in the codes, shape (m, z).
+    """
     n, z = rows.codes.shape
     if n < MANY_ROWS:
         found = [*found, *_stretched(rows.kernel, found)]
@@ -161,7 +151,7 @@ def _members(
         predicted = _predicted(rows.first(n_rows), validation[0], hypers)
         chosen = best_shares(predicted, true, believed, n_most)
         hypers, believed = hypers[chosen.members], believed[chosen.members]
-    return _Members(hypers, chosen.share)
+    return hypers, chosen.share
 
 
 def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
@@ -192,15 +182,15 @@ def _principal_components(x: Tensor, n_latent: int) -> Tensor:
     return basis
 
 
-def _assembled(rows: _Rows, basis: Tensor, members: _Members) -> LinearVae:
+def _assembled(rows: _Rows, basis: Tensor, hypers: Array, shares: Array) -> LinearVae:
     """Solve for the coefficients of every process."""
-    coefficients = torch.stack([rows.solved(hyper) for hyper in members.hypers])  # (m, n, z)
+    coefficients = torch.stack([rows.solved(hyper) for hyper in hypers])  # (m, n, z)
     device = rows.features.device
-    share = torch.from_numpy(members.share).to(device)
+    share = torch.from_numpy(shares).to(device)
     buffers = {
         "basis": basis,
         "x": rows.features,
-        "hyper": torch.from_numpy(members.hypers).to(device),
+        "hyper": torch.from_numpy(hypers).to(device),
         "share": share,
         "coefficients": coefficients * (share > 0)[:, None],
     }

@@ -13,6 +13,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.box_newton import Expansion
+from studies.calibration.coefficient import LEAST_TO_LEARN
 from studies.calibration.confirmation import least_unlikely
 from studies.calibration.ending import Confirmation, Ending, still_falling, too_large
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
@@ -28,7 +29,6 @@ from studies.calibration.restart import farther_along, inside, least_excluded
 from studies.calibration.row_choice import missing_of_design
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.search_settings import SearchSettings
-from studies.calibration.state_equations import LEAST_TO_LEARN
 from studies.calibration.truncated_window import TruncatedWindow
 
 

@@ -166,10 +166,6 @@ class Recorder:
         assert self.best is not None, "a budget of at least one row lets the first rows be asked"
         return kind(self.best, self.n_calls, self.history, reason, converged, **more)
 
-    def know(self, evaluation: Evaluation) -> None:
-        """Take note of rows that were simulated before (warm start)."""
-        self._note(evaluation)
-
     def evaluate(self, u: FloatArray) -> Evaluation:
         """Ask the model, pay, and take note.
 
@@ -180,12 +176,13 @@ class Recorder:
             BudgetExceeded: The rows do not fit into what is left; nothing was simulated.
         """
         evaluation = self.problem.evaluate(u)
-        self._note(evaluation)
+        self.know(evaluation)
         if self._on_progress is not None:
             self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
         return evaluation
 
-    def _note(self, evaluation: Evaluation) -> None:
+    def know(self, evaluation: Evaluation) -> None:
+        """Take note of rows that were answered, or simulated before (warm start)."""
         index = int(np.argmin(evaluation.objective))
         # A failed row is the best as long as there is no other: a result can then say why it failed.
         if self.best is None or evaluation.objective[index] < self.best.objective[0]:

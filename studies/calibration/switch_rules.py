@@ -79,7 +79,7 @@ def switch_rules(
     n_states, coefficients = len(signals.states), np.concatenate(rates, axis=1)
     solve = SteppedFlow(signals, derivatives, n_parts=MOST_PARTS).solver()
     places, found = list[list[int]](), list[_Rule]()
-    for switch in range(n_states - signals.n_switches, n_states):
+    for switch in range(signals.n_continuous, n_states):
         by_row = [
             _changes(signals, solve, row, known, switch) for row, known in zip(x, coefficients, strict=True)
         ]
@@ -104,7 +104,7 @@ def _changes(
     found, last = list[_Change](), 0.0
     scale = x.std(axis=0)
     # Switches jump where the others meet, and what is at rest shows nothing.
-    scale[len(signals.states) - signals.n_switches :] = 0.0
+    scale[signals.n_continuous :] = 0.0
     weight = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     firsts = np.flatnonzero(np.diff(x[:, switch]))
     for first in firsts[:MOST_CHANGES].tolist():
@@ -172,7 +172,7 @@ def _located(
 def _rule(signals: StateSignals, x: FloatArray, changes: Sequence[Sequence[_Change]]) -> _Rule | None:
     """Find what has one value at the changes of every row, first without waiting times."""
     n_states, nothing = len(signals.states), len(signals.states) + len(signals.inputs) + 1
-    n_own = n_states - signals.n_switches
+    n_own = signals.n_continuous
     # A state, or its difference to a state or an input.
     pairs = [(one, nothing) for one in range(n_own)] + [
         (one, other)
