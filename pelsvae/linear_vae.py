@@ -32,7 +32,7 @@ class _Member(NamedTuple):
     """
 
     hyper: Tensor  # (h,)
-    columns: Tensor  # (c,)
+    share: Tensor  # in its codes, elsewhere 0: (c, z)
     bumps: list[tuple[Tensor, Tensor]]  # k rows in s scales: (f + 1 + s, s * k), coefficients (s * k, c)
     constant: Tensor  # (c,)
     slope: Tensor  # (f, c)
@@ -90,18 +90,10 @@ class LinearVae(nn.Module):
 
     def regressor_mean(self, theta: Tensor) -> Tensor:
         """Mean of varphi(theta), Eq. 6: theta (b, f) -> (b, z)."""
-        total = theta.new_zeros(len(theta), len(self.basis))
-        for place, member in enumerate(self._members()):
-            share = self.share[place, member.columns]
-            total = total.index_add(1, member.columns, share * self._member_mean(member, theta))
-        return total
-
-    def regressor_mean_by_products(self, theta: Tensor) -> Tensor:
-        """The same for ONNX: torch 2.13 exports `index_add` as another sum. theta (b, f) -> (b, z)."""
         total = theta.new_zeros(1, len(self.basis))
-        for place, member in enumerate(self._members()):
-            share = torch.diag(self.share[place])[member.columns]  # (c, z)
-            total = total + self._member_mean(member, theta) @ share
+        for member in self._members():
+            # A product with zeros, not `index_add`: torch 2.13 exports that to ONNX as another sum.
+            total = total + self._member_mean(member, theta) @ member.share
         return total
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
@@ -151,7 +143,7 @@ class LinearVae(nn.Module):
             bend = (across.T @ products).permute(1, 0, 2).reshape(across.shape[1], -1)
         return _Member(
             hyper=hyper,
-            columns=columns,
+            share=torch.diag(self.share[place])[columns],
             bumps=bumps,
             constant=CONSTANT * coefficients.sum(dim=0),
             slope=squares[0] * (across.T @ coefficients),
