@@ -58,12 +58,13 @@ class NetworkInputs:
         Args:
             case: The case.
         """
-        scenario, settings = case.scenario, case.settings
+        scenario = case.scenario
         outputs = [in_si(output.unit) for output in case.outputs]
         unit = outputs[0]
         n_steps, n_inputs = scenario.inputs.shape
         is_alike = unit is not None and unit.exponents and all(unit == other for other in outputs)
-        if not is_alike or not n_inputs or n_steps > MOST_STEPS or settings.warmup_theta is not None:
+        # Rows of several experiments are several trajectories, each with inputs of its own.
+        if case.experiments or not is_alike or not n_inputs or n_steps > MOST_STEPS:
             return None
         assert unit is not None, "checked above"
         potentials, sources, switches, powers = [], [], [], []

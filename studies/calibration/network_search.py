@@ -101,7 +101,7 @@ class HiddenNetwork:
             residuals = self._residuals(u)
             m = residuals.shape[1]
             whole = [residuals / np.sqrt(m), np.sqrt(cost) * (u - home)]
-            return np.concatenate(whole, axis=1) * np.sqrt(m + p)
+            return np.asarray(np.concatenate(whole, axis=1) * np.sqrt(m + p))
 
         ends, values = descend_together(with_distance, prior, starts)
         order = np.argsort(values, kind="stable")

@@ -55,6 +55,11 @@ def add_case(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_experiment(command: argparse.ArgumentParser, what: str) -> None:
+    """Which experiment of a case that has several."""
+    command.add_argument("--experiment", metavar="NAME", help=what)
+
+
 def add_simulation(command: argparse.ArgumentParser) -> None:
     """Options of commands that simulate."""
     command.add_argument("--retry-failed", action="store_true", help="retry failed simulations")
@@ -69,6 +74,16 @@ def add_simulation(command: argparse.ArgumentParser) -> None:
 def add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
     """Training-set sizes."""
     command.add_argument("--n-train", nargs="+", type=values.whole(4), metavar="N", help=help_line)
+
+
+def add_calibration(command: argparse.ArgumentParser) -> None:
+    """Which stored calibration."""
+    command.add_argument(
+        "--method",
+        choices=("paper", "adaptive"),
+        help="method of the calibration; default: adaptive if there is one",
+    )
+    add_sizes(command, "the calibration with this training-set size; default: the best")
 
 
 def add_trials(command: argparse.ArgumentParser) -> None:

@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from studies.console import Column, Console
-from studies.report.wording import count
 
 Level = Literal["ok", "warn", "fail"]
 LONGEST = 4
 """Names in one line."""
+STOPPED = "was stopped"
+"""What the reason of a row says that ran into a time-out."""
+MORE_TIME = "say how long one simulation may take: [simulation] timeout_s; or wait: --thorough"
+"""What to do about it."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +51,6 @@ class Diagnosis:
     def is_sound(self) -> bool:
         """Whether nothing failed."""
         return all(finding.level != "fail" for finding in self.findings)
-
-    @property
-    def news(self) -> str:
-        """How much was found."""
-        return count(len(self.findings), "finding")
 
     @property
     def has_failures(self) -> bool:

@@ -1,18 +1,17 @@
 """The best calibration of a case as the values of its FMU's variables, and what made it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from simulation.case import Case, load_case
+from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import FmuVariable, Value
-from simulation.foreign_text import quoted, shortened
+from simulation.foreign_text import shortened
 from studies.best_models import best_calibrations
-from studies.paths import ProjectPaths
 from studies.project import FinishedCalibration, Project
+from studies.provenance import case_of, read_provenance
 from studies.report.wording import difference_unit, squared
 
 
@@ -64,6 +63,7 @@ class CalibratedValues:
         error = self.finished.found.error_name.lower().replace(" ", "_")
         return {
             "case": self.case.name,
+            **({"experiment": self.case.experiment} if self.case.experiment else {}),
             "case_digest": self.case.digest,
             "command": str(self.finished.outcome.provenance["command"]),
             "finished": self.finished.outcome.finished,
@@ -78,11 +78,12 @@ class CalibratedValues:
         return shortened(", ".join(f"{name}: {value}" for name, value in self.about.items()), 1000)
 
 
-def calibrated_values(project: Project) -> CalibratedValues:
+def calibrated_values(project: Project, experiment: str | None = None) -> CalibratedValues:
     """Return the best calibration of the one case of a project.
 
     Args:
         project: What the project holds of the case.
+        experiment: Which of its experiments; None where it has none.
 
     Raises:
         InputError: There is none, there are several cases, or the case is not as it was calibrated.
@@ -93,38 +94,18 @@ def calibrated_values(project: Project) -> CalibratedValues:
         remedy = f"name one of: {cases}" if cases else "type studies calibrate first"
         raise InputError(f"--write needs one calibrated case; {remedy}")
     (finished,) = best
-    case = case_of(project.paths, finished.outcome.provenance)
-    space, fmu, units = case.parameter_space, case.fmu, finished.found.units
-    theta = np.array([finished.found.theta[name] for name in space.names])
-    variables = [fmu.variables[name] for name in space.names]
+    made = read_provenance(finished.outcome.provenance, finished.name)
+    case = case_of(project.paths, made, exactly=False)
+    case, columns = of_experiment(case, experiment, needed_for="--write")
+    space, fmu = case.parameter_space, case.fmu
+    theta = np.array([*finished.found.theta.values()])[columns]
+    units = {one.name: one.unit for one in space.parameters}
+    variables = [fmu.variables[name] for name in case.settings.set_names]
     in_fmu = case.settings.parameters_for_fmu(theta).tolist()
     values = [
-        SetValue(variable, value, variable.unit or units[variable.name], "calibrated")
+        SetValue(variable, value, variable.unit or units.get(variable.name, ""), "calibrated")
         for variable, value in zip(variables, in_fmu, strict=True)
     ]
     fixed = ((fmu.variables[name], value) for name, value in case.fixed.items())
     values += [SetValue(variable, value, variable.unit, "fixed") for variable, value in fixed]
     return CalibratedValues(case, finished, tuple(values))
-
-
-def case_of(paths: ProjectPaths, made: Mapping[str, Any]) -> Case:
-    """Return the case that something was made from.
-
-    Args:
-        paths: The project.
-        made: What its provenance says.
-
-    Raises:
-        InputError: The case is not here, or is not as it was.
-    """
-    file = paths.located(made.get("case_file"))
-    if file is None:
-        raise InputError(f"the case file {quoted(made.get('case_file'))} is not in the project; put it there")
-    first, last = made["window_d"]
-    case = load_case(file, window_d=(first, last))
-    if case.digest != made["case_digest"]:
-        raise InputError(
-            f"{paths.show(file)}: the case, its FMU or its inputs changed since {quoted(made['command'])}; "
-            "repeat that command"
-        )
-    return case

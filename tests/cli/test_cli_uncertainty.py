@@ -17,7 +17,7 @@ from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.report.drawing import write_png
-from studies.report.figures_uncertainty import interval_figure
+from studies.report.figures_calibration import interval_figure
 from studies.report.sentences import uncertainty_sentences
 from studies.report.tables import intervals_table
 from studies.stages.pipeline import read_outcome
@@ -187,4 +187,4 @@ def test_what_cannot_be_done_is_one_line(
 def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run) -> None:
     answer = studies("uncertainty", "office")
     assert answer.code == 2
-    assert "no calibration of any kind; type: studies calibrate office" in answer.err
+    assert "no calibration, there is none of this window" in answer.err

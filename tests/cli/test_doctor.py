@@ -13,10 +13,9 @@ from project_for_tests import Answer, Run, add_case
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
 from simulation.trajectories import Trajectories
-from studies.doctor.answers import look_at_influence
+from studies.doctor.answers import changed_input, look_at_influence, look_at_order
 from studies.doctor.declared import look_at_data, look_at_declaration, unit_problem
 from studies.doctor.time_budget import EXAMINATION_S, TimeBudget
-from studies.doctor.variants import changed_input, look_at_order
 
 EXAMINED = {
     "names, units, bounds",
@@ -29,7 +28,6 @@ EXAMINED = {
     "every input moves an output",
     "the same answer again",
     "the same answer in any order",
-    "starting the FMU over",
     "half the communication step (300 s)",
     "time of a simulation",
 }
@@ -135,8 +133,8 @@ def test_an_unsound_case_ends_with_one(project: Path, studies: Run, command: str
         ("HANG", 1, "corners of the box", "warn", "did not answer within 1 s", "narrow the bounds"),
         ("LICENCE", 1, "opening the FMU", "fail", "no licence for", "max_workers"),
         ("UNITS", 0, "units of the outputs", "warn", "K is very cold: rather degC", "compare"),
-        ("STICKY", 0, "starting the FMU over", "warn", "each row gets a new instance", "results are right"),
-        ("FROZEN", 0, "starting the FMU over", "warn", "each row gets a new process", "results are right"),
+        ("STICKY", 0, "the same answer again", "ok", "bit for bit", ""),
+        ("FROZEN", 0, "the same answer again", "ok", "bit for bit", ""),
         (
             "ICED",
             1,
@@ -253,9 +251,9 @@ def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
     lines[100] = ",".join(cells)
     file.write_text("\n".join([header, *lines, ""]), encoding="utf-8")
     found = {one.what: one.found for one in look_at_data(load_case(project / "fmus" / "office"))}
-    said = found.get("inputs far below all others", "")
-    assert said.startswith("TAmb falls to -8") == is_named
-    assert ("mostly" in said) == is_named
+    said = found.get("values far from all others", "")
+    assert said.startswith("TAmb: -") == is_named
+    assert ("the others lie between" in said) == is_named
     assert "units of the data" not in found
 
 
@@ -265,7 +263,7 @@ def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
 ) -> None:
     file = add_case(tmp_path)
     edit(file, "GOut = 200.0", f"GOut = {value}")
-    beyond = [one for one in look_at_declaration(load_case(file)) if one.what.startswith("fixed values")]
+    beyond = [one for one in look_at_declaration(load_case(file)) if one.what.startswith("values inside")]
     assert [one.level for one in beyond] == (["warn"] if said else [])
     assert all(said in one.found and "[fixed]" in one.remedy for one in beyond)
 

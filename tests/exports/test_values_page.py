@@ -14,7 +14,7 @@ from studies.cli import main
 from studies.paths import find_project
 from studies.project import read_project
 from studies.tracking.registry import load_surrogate
-from studies.tracking.stage_run import run_store
+from studies.tracking.runs import run_store
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "values.md"
 TINY = """\

@@ -26,14 +26,15 @@ from simulation.measurement import Samples
 from simulation.time_unit import period_text
 from studies.report.drawing import Axis, Figure, Panel, Series, time_axis, with_gaps, write_png
 from studies.report.figures_calibration import (
+    band_figure,
     calibration_figure,
     calls_figure,
+    interval_figure,
     residual_reach,
     validation_figure,
 )
 from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
 from studies.report.figures_tuning import mae_over_n_figure
-from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 FIGURES: dict[str, Callable[[], Figure]] = {
@@ -156,11 +157,9 @@ def test_a_large_training_set_does_not_squeeze_the_polish() -> None:
     assert 4096 - 65 < first < 4096 < 4096 + 65 < last
 
 
-def test_the_screened_point_stands_where_the_polish_begins() -> None:
+def test_the_history_begins_where_the_polish_does() -> None:
     c = calibration()
-    figure = calls_figure(case(), c)
-    assert values(figure, "by the model, as screened", "x") == [c.history_calls[0]]
-    assert values(figure, "0.00642 K² polished", "x")[0] == c.history_calls[0]
+    assert values(calls_figure(case(), c), "0.00642 K² polished", "x")[0] == c.history_calls[0]
 
 
 def test_a_residual_is_no_line_within_a_wide_band() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from exchange_for_tests import build, run, settings
 
-from simulation import FmuModel, InputError
+from simulation import FmuModel
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
@@ -186,10 +186,3 @@ def test_nominal_values_set_the_absolute_tolerance(fmu: Path):
     assert errors[1] < errors[0] / 10.0
     # A thousandth of the input.
     assert errors[1] < 1e-10
-
-
-def test_what_model_exchange_cannot_do_is_one_line(fmu: Path):
-    chosen = settings(fmu, "LINEAR", edges=np.arange(5.0))
-    scenario = dataclasses.replace(chosen.scenario, n_warmup=2)
-    with pytest.raises(InputError, match="needs a co-simulation FMU that can get and set its state"):
-        dataclasses.replace(chosen, scenario=scenario, warmup_theta=np.ones(2)).open()

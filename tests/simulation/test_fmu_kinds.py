@@ -59,7 +59,7 @@ def test_a_structural_parameter_is_set_in_its_own_mode(fmu_3: Path):
 
 def test_an_inverse_display_unit_is_none_of_the_units_that_a_factor_converts(tmp_path: Path):
     """A period in seconds is the inverse of a rate in 1/s."""
-    text = kinds_fmu.DESCRIPTION_3.format(state="false", once="false")
+    text = kinds_fmu.DESCRIPTION_3.format(once="false")
     shown = '<DisplayUnit name="period" inverse="true"/><DisplayUnit name="1/min" factor="60"/></Unit>'
     path = tmp_path / "kinds3.fmu"
     with zipfile.ZipFile(path, "w") as archive:
