@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 from simulation.arrays import FloatArray
 from studies.calibration.network_model import UNITS, Network, NetworkForm
 
-# Neighbouring samples of a trajectory tell the same: so many count as one.
+# Neighbouring samples of a trajectory are alike: so many count as one.
 N_ALIKE = 40.0
 # A power costs this times the logarithm of its square, beside the square of a width that falls from the first
 # to the last by a factor per step.
