@@ -1,7 +1,5 @@
 """Variables inside an FMU that follow time alone, and what they do between two outputs."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -115,13 +113,3 @@ def test_equations_have_hidden_inputs_where_no_input_is_declared() -> None:
     assert fewer.inputs == ("outdoor", "sun", "use")
     assert set(used.sums[0].terms) == ROOM
     assert used.misfit < 1e-20
-
-
-def test_tolerances_follow_the_solvers() -> None:
-    signals, rows = rows_of_a_room(noise=2e-4)
-    tight = Structure.of(signals, rows)
-    assert tight.lacking == "der(T)"
-    assert "makes up der(T): the best leaves" in tight.why_not(signals)
-    loose = Structure.of(replace(signals, tolerance=1e-6), rows)
-    assert not loose.lacking
-    assert set(loose.sums[0].terms) == ROOM

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from multistart_for_tests import best_known, multistart
 from problems_for_tests import problem_on, rc_problem
 
 from simulation.arrays import FloatArray
@@ -78,14 +77,6 @@ def by_trf_in_linear_coordinates(problem: CalibrationProblem) -> FloatArray:
     return LeastSquaresTRF(ftol=1e-12, coordinates="linear").minimize(problem, np.full(3, 0.4)).theta
 
 
-def by_multistart(problem: CalibrationProblem) -> FloatArray:
-    return multistart(problem, 3, 0).best.theta
-
-
-def by_brute_force(problem: CalibrationProblem) -> FloatArray:
-    return best_known(problem, 2).best.theta
-
-
 def by_evolution(problem: CalibrationProblem) -> FloatArray:
     return DifferentialEvolution(maxiter=120, tol=1e-8).minimize(problem, seed=1).theta
 
@@ -110,8 +101,6 @@ def by_two_phases(problem: CalibrationProblem) -> FloatArray:
 SOLVERS: tuple[Callable[[CalibrationProblem], FloatArray], ...] = (
     by_trf,
     by_trf_in_linear_coordinates,
-    by_multistart,
-    by_brute_force,
     by_evolution,
     by_adaptive,
     by_two_phases,
@@ -133,13 +122,6 @@ def logarithmic(factor: float, centre: float = 0.5) -> CalibrationProblem:
     r, c = posed.space.parameters
     space = ParameterSpace((replace(r, prior=Belief(centre, factor)), c))
     return replace(posed, prior=Prior.of(space, posed.measurement))
-
-
-def test_a_huge_width_is_as_good_as_no_prior() -> None:
-    start = np.array([0.3, 0.6])
-    free = LeastSquaresTRF(ftol=1e-12).minimize(rc_problem(noise=0.2), start)
-    wide = LeastSquaresTRF(ftol=1e-12).minimize(logarithmic(1e6), start)
-    np.testing.assert_allclose(wide.theta, free.theta, rtol=1e-4)
 
 
 def test_a_narrow_prior_holds_its_parameter_and_the_mse_stays_the_data_s() -> None:
@@ -197,11 +179,6 @@ def test_without_a_prior_the_objective_is_the_mse_itself() -> None:
     answer = problem.evaluate(np.random.default_rng(0).random((4, 2)))
     assert answer.objective is answer.mse
     assert Prior.of(problem.space, problem.measurement) is None
-
-
-def test_a_failed_row_stays_infinitely_bad() -> None:
-    problem = line_problem()
-    assert problem.objective(np.full((1, 3), np.nan))[0] == np.inf
 
 
 def measured(uncertainty: float = 0.5, lasts_s: float | None = None) -> Measurement:

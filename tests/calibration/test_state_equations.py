@@ -15,7 +15,6 @@ from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.coefficient import Coefficient, Points
-from studies.calibration.descent import descend_together
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
@@ -164,28 +163,6 @@ def test_a_product_is_a_formula_and_others_are_a_process() -> None:
     np.testing.assert_allclose(other.at(Points(x, x)), product(x) - np.exp(np.sin(5.0 * x[:, 1])), rtol=0.01)
 
 
-def test_rows_that_leave_a_coefficient_open_are_left_out_of_it() -> None:
-    model = TwoRooms()
-    _, rows = rows_of(model, 8, seed=0)
-    # In one row the fan never changes what the wall does: its term is a multiple of the wall's.
-    structure = Structure.of(ROOMS, rows)
-    alike = rows.x.copy()
-    alike[3, :, 1] = alike[3, :, 0] + 1e-13 * np.arange(len(model.time))
-    found, _ = structure.fitted(ROOMS, rows._replace(x=alike))
-    assert np.isnan(found[0][3]).any()
-    assert np.isfinite(np.delete(found[0], 3, axis=0)).all()
-
-
-def test_walks_end_at_the_minimum_or_at_a_face() -> None:
-    def residuals(u: FloatArray) -> FloatArray:
-        return np.stack([10.0 * (u[:, 1] - u[:, 0] ** 2), 1.3 - u[:, 0], 0.3 * (u[:, 1] - 1.0)], axis=1)
-
-    starts = np.random.default_rng(0).random((6, 2))
-    ends, values = descend_together(residuals, None, starts)
-    np.testing.assert_allclose(ends, 1.0, atol=1e-3)
-    np.testing.assert_allclose(values, 0.03, rtol=1e-3)
-
-
 def problem_of(rooms: TwoRooms, truth: FloatArray) -> CalibrationProblem:
     watched = WatchedModel(rooms, ROOMS)
     y = watched.simulate(truth[None]).y[0] + 0.05 * np.random.default_rng(0).standard_normal((61, 1))
@@ -288,19 +265,6 @@ def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() 
     assert all(one.converged for one in found)
 
 
-def test_where_nothing_can_be_learnt_the_same_rows_are_asked_as_without(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # Without its other variables the FMU does not show the position of its switch.
-    monkeypatch.setattr("studies.calibration.states.MOST_LOCALS", 0)
-    case = load_case(REPOSITORY / "fmus" / "thermostat")
-    found, n_asked = solved(case, 0, has_equations=True, max_calls=12)
-    alone, _ = solved(case, 0, has_equations=False, max_calls=12)
-    assert n_asked == 0
-    np.testing.assert_array_equal(found.theta, alone.theta)
-    assert found.mse == alone.mse
-
-
 def test_a_watched_model_answers_what_it_answers_unwatched() -> None:
     case = load_case(REPOSITORY / "fmus" / "wall")
     theta = case.parameter_space.from_unit(np.random.default_rng(0).random((3, 7)))
@@ -360,21 +324,6 @@ def test_failures_at_the_optimum_end_the_belief() -> None:
     assert not ode.is_believed
     assert ode.n_asked <= 6
     assert np.isfinite(found.mse)
-
-
-def test_a_state_that_never_moves_is_a_constant() -> None:
-    model = TwoRooms()
-    u, rows = rows_of(model, 8, seed=0)
-    signals = replace(ROOMS, states=("T1", "dummy"), depends_on=(None, frozenset[str]()))
-    x, slope = rows.x.copy(), rows.slope.copy()
-    slope[..., 0] = (275.0 - x[..., 0]) * 1e-5
-    x[..., 1], slope[..., 1] = 1.0, 0.0
-    structure = Structure.of(signals, StateRows(x, slope, x[..., :1]))
-    assert structure.misfit < LEARNT
-    found, _ = structure.fitted(signals, StateRows(x, slope, x[..., :1]))
-    np.testing.assert_array_equal(found[1], 0.0)
-    points, products = Points.of(model.parameter_space, u), Products.of(model.parameter_space)
-    assert isinstance(StateEquations.learn(signals, structure, points, x, found, products), StateEquations)
 
 
 def test_bands_hold_for_what_is_reported_alone() -> None:

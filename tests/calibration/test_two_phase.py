@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from multistart_for_tests import multistart
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
 from toy_rc import ToyRC
 
@@ -45,13 +44,6 @@ def test_every_row_asked_of_the_physical_model_is_in_the_ledger() -> None:
     assert result.ledger.total_calls == 672 + len(diary.rows)
 
 
-def test_the_screened_point_is_simulated_once() -> None:
-    diary = Diary(ToyRC())
-    result = calibrate(WRONG, diary)
-    np.testing.assert_array_equal(diary.rows[0], result.theta_screened)
-    assert (np.abs(diary.rows[1:] - diary.rows[0]).max(axis=1) > 0).all()
-
-
 def test_the_polish_repairs_what_the_surrogate_did_not_see() -> None:
     result = calibrate(WRONG, ToyRC())
     problem = rc_problem(noise=0.05)
@@ -77,19 +69,6 @@ def test_calls_to_a_target_include_training_and_the_screening_check() -> None:
     assert result.calls_to(0.5 * result.mse_polished) is None
 
 
-def test_a_second_calibration_is_the_same() -> None:
-    first, second = calibrate(WRONG, ToyRC()), calibrate(WRONG, ToyRC())
-    np.testing.assert_array_equal(first.theta, second.theta)
-    assert first.ledger == second.ledger
-
-
-def test_a_budget_of_one_call_keeps_the_screened_point() -> None:
-    result = calibrate(WRONG, ToyRC(), polishing=LeastSquaresTRF(max_calls=1))
-    assert result.mse_polished == result.mse_screened
-    assert result.ledger.n_polish == 0
-    assert result.polish_stop_reason == "the next step takes 2 calls and the budget of 1 has only 1 left"
-
-
 def test_a_screened_point_that_fails_gives_way_to_another() -> None:
     broad = DifferentialEvolution(popsize=32, maxiter=3)
     screened = calibrate(ToyRC(), ToyRC(), screening=broad).theta_screened[0]
@@ -109,26 +88,7 @@ def test_a_physical_model_that_never_answers_is_a_result_not_an_error() -> None:
     assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["mse_polished"] is None
 
 
-def test_the_result_as_a_document() -> None:
-    result = calibrate(WRONG, ToyRC())
-    document = json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    assert document["theta"] == {"R": result.theta[0], "C": result.theta[1]}
-    assert document["ledger"]["total_paper"] == result.ledger.total_paper
-    assert document["screening_gap"] == result.screening_gap
-    assert document["polish_history"]["n_calls"] == result.polish_history.n_calls.tolist()
-
-
 def test_the_ledger_adds_up_both_ways() -> None:
     ledger = Ledger(n_train=64, n_validation=320, n_test=320, n_screen_checks=1, n_polish=123)
     assert (ledger.total_paper, ledger.total_calls) == (188, 828)
     assert replace(ledger, n_polish=0).to_dict()["total_paper"] == 65
-
-
-def test_more_starts_extend_fewer() -> None:
-    problem = rc_problem()
-    few, more = multistart(problem, 2, seed=5), multistart(problem, 4, seed=5)
-    np.testing.assert_array_equal(few.starts, more.starts[:2])
-    np.testing.assert_array_equal(few.mse, more.mse[:2])
-    assert more.best.mse == more.mse.min()
-    assert more.n_calls == sum(run.n_calls for run in more.runs)
-    assert len(more.calls_to(1e-3)) == 4

@@ -123,8 +123,6 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
         (("--method", "adaptive", "--n-train", "64"), "--n-train belongs to --method paper"),
         (("--method", "adaptive", "--max-calls", "4"), "does not hold the least of 5 simulations"),
         (("--no-state-equations", "--max-calls", "13"), "does not hold the first design of 14 simulations"),
-        (("--method", "adaptive", "--target", "-1"), "'-1' is not a positive number"),
-        (("--method", "adaptive", "--parallel", "0"), "'0' is not a whole number of at least 1"),
         (("--parallel", "2", "--n-train", "64"), "--parallel belongs to --method adaptive"),
         (("--method", "genetic"), "invalid choice: 'genetic'"),
     ],

@@ -182,9 +182,3 @@ def test_what_cannot_be_done_is_one_line(
     (line,) = answer.err.splitlines()
     assert line.startswith("studies: error: ")
     assert words in line
-
-
-def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run) -> None:
-    answer = studies("uncertainty", "office")
-    assert answer.code == 2
-    assert "no calibration of any kind; type: studies calibrate office" in answer.err

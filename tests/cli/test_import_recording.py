@@ -149,28 +149,9 @@ def test_a_file_of_another_kind_is_refused(
     assert not (project / "data" / "office-recorded").exists()
 
 
-def test_an_fmu_without_the_recording_is_refused(project: Path, studies: Run) -> None:
-    answer = studies("import-recording", str(project / "fmus" / "office" / "Office.fmu"))
-    assert answer.code == 2
-    assert "identification_data.mat" in answer.err
-
-
 @needs_recording
 def test_the_papers_recording_is_taken_over_to_the_last_digit(project: Path, studies: Run) -> None:
     assert studies("import-recording", str(SHARED)).code == 0
     assert imported(project) == tuple(
         (SHARED / name).read_text() for name in ("recording_1800s.csv", "occupancy_600s.csv")
     )
-
-
-def test_a_matlab_file_is_measured_before_it_is_read(
-    tmp_path: Path, studies: Run, project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "bomb.mat"
-    savemat(file, {"TRoom": np.zeros((400_000, 2))}, do_compression=True)
-    assert file.stat().st_size < 50_000
-    monkeypatch.setenv("STUDIES_LIMITS", "0.001")
-    answer = studies("import-recording", str(file))
-    assert answer.code == 2
-    assert "unpacked of an archive may have 2 MB and this one has 6.4 MB" in answer.err
-    assert len(answer.err.splitlines()) == 1

@@ -7,7 +7,7 @@ from typing import Any
 
 import fmpy
 import pytest
-from project_for_tests import OFFICE, Run
+from project_for_tests import Run
 
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
@@ -138,14 +138,6 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
     assert everything.fixed["table"] == "a\\b.txt"
 
 
-def test_patterns_choose_and_brackets_are_no_pattern(project: Path, studies: Run, room: Path) -> None:
-    answer = studies(
-        "new", str(room), "--output", "Q", "T", "--parameter", "wall.d[1]", "--parameter", "U*", "--json"
-    )
-    assert answer.document["parameters"] == ["wall.d[1]", "UA"]
-    assert answer.document["outputs"] == ["Q", "T"]
-
-
 def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None:
     assert studies("new", str(room)).code == 0
     file = project / "fmus" / "my-room-v2" / "case.toml"
@@ -156,15 +148,6 @@ def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None
     assert "fmus/my-room-v2/case.toml" in answer.err
     assert file.read_text(encoding="utf-8") == "mine"
     assert "exists" in studies("new", str(room), "--to", str(file.parent)).err
-
-
-def test_an_input_can_be_a_parameter(project: Path, studies: Run, room: Path) -> None:
-    document = studies("new", str(room), "--parameter", "UA", "TAmb", "--json").document
-    assert document["parameters"] == ["UA", "TAmb"]
-    assert "TAmb" not in document["inputs"]
-    case = case_of(project, "my-room-v2")
-    assert [one["name"] for one in case["parameters"]] == ["UA", "TAmb"]
-    assert "TAmb" not in [one["name"] for one in case.get("inputs", ())]
 
 
 def test_local_variables_are_listed_and_patterns_match_them(
@@ -196,32 +179,6 @@ def test_a_command_killed_between_any_two_writes_can_be_typed_again(
         assert studies("new", str(room)).code == 0
         found = {file: file.read_bytes() for place in (data, folder) for file in place.iterdir()}
         assert found == made
-
-
-@pytest.mark.parametrize("below", ["below"])
-def test_a_folder_that_cannot_be_made_is_one_line(
-    project: Path, studies: Run, room: Path, below: str
-) -> None:
-    taken = project / "taken"
-    taken.write_text("a file", encoding="utf-8")
-    before = sorted(project.rglob("*"))
-    answer = studies("new", str(room), "--to", str(taken / below))
-    assert answer.code == 2
-    (line,) = answer.err.splitlines()
-    for fragment in ("taken: the case cannot be written there", "--to FOLDER"):
-        assert fragment in line.replace("/below", "")
-    assert sorted(project.rglob("*")) == before
-    assert taken.read_text(encoding="utf-8") == "a file"
-
-
-def test_check_says_which_csv_is_missing_and_what_it_holds(project: Path, studies: Run) -> None:
-    assert studies("new", str(OFFICE / "Office.fmu"), "--to", "fmus/flat").code == 0
-    answer = studies("check", "flat", "--profile", "smoke")
-    assert answer.code == 2
-    (line,) = answer.err.splitlines()
-    assert "data/flat/measured.csv" in line
-    for word in ("time_s", "TAir", "README.md"):
-        assert word in line
 
 
 def test_a_short_experiment_is_reported_in_seconds(project: Path, studies: Run, tmp_path: Path) -> None:

@@ -59,10 +59,3 @@ def test_bad_use_gets_a_line_with_the_remedy(
     (line,) = capsys.readouterr().err.splitlines()
     assert remedy in line
     assert not list(Path().iterdir())
-
-
-def test_a_project_without_a_calibration_says_what_to_type(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["best", "--write", "ssv"]) == 2
-    assert "--write needs one calibrated case; type studies calibrate first" in capsys.readouterr().err

@@ -1,12 +1,8 @@
 """The case files against the FMU and the paper; the recorded case against numbers that are known."""
 
-import hashlib
-
 import numpy as np
 import office_equations as reference
 import pytest
-from fmpy import read_model_description
-from fmpy.validation import validate_fmu
 from fmu_for_tests import OFFICE, REPOSITORY
 
 from simulation import load_case
@@ -57,27 +53,6 @@ def test_the_recorded_case_differs_from_the_default_in_its_data_alone():
     assert recorded.data == "../../data/office-recorded"
     own = {"name", "title", "note", "fmu", "data", "data_origin", "references"}
     assert office.model_dump(exclude=own) == recorded.model_dump(exclude=own)
-
-
-def test_switches_are_held_and_the_rest_is_smooth():
-    case = read_case_file(FMUS / "office" / "case.toml")
-    held = {"ySupTAC", "ySupMV", "occ"}
-    assert tuple(row.name for row in case.inputs) == reference.INPUTS
-    assert {row.name for row in case.inputs if row.interpolation == "held"} == held
-    assert {row.name for row in case.inputs if row.interpolation == "smooth"} == set(reference.INPUTS) - held
-
-
-def test_every_variable_of_the_fmu_has_a_unit_and_a_description():
-    assert validate_fmu(str(OFFICE)) == []
-    description = read_model_description(str(OFFICE))
-    defined = {unit.name: unit for unit in description.unitDefinitions}
-    for variable in description.modelVariables:
-        assert defined[variable.unit].baseUnit is not None, variable.name
-        assert variable.description, variable.name
-
-
-def test_the_readme_has_the_checksum_of_the_fmu():
-    assert hashlib.sha256(OFFICE.read_bytes()).hexdigest() in (FMUS / "office" / "README.md").read_text()
 
 
 def test_the_best_fit_of_the_recording_is_what_it_was(tmp_path):

@@ -133,13 +133,6 @@ def documented_row(row: Mapping[str, Any]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def test_files_are_read_as_they_were_written(tmp_path: Path) -> None:
-    sizes = (size(32, 1.2, 1.0), size(1024, 0.1, 0.08))
-    for one in sizes:
-        write_size(tmp_path, ORIGIN, one.n_train, one)
-    assert read_trials(tmp_path) == (ORIGIN, sizes)
-
-
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Draw) -> None:
     folder, words = tmp_path / "trials", ("--only", "fig6", "--from", "trials")
     assert draw(*words)[1]["error"].startswith("trials holds no trials of Fig. 6")

@@ -70,21 +70,3 @@ def test_nothing_is_said_where_there_are_no_limits(
     assert found.is_met is None
     assert guideline_sentence([found]) == ""
     assert found.to_dict()["is_met"] is None
-
-
-def test_closer_than_an_hour_only_hourly_means_could_miss_the_limits() -> None:
-    found = judged(300.0, "W", [45.0, -45.0, 45.0, -45.0])
-    assert found.is_met is None
-    assert found.cv_rmse == pytest.approx(0.9 / np.sqrt(3.0))
-    assert found.sentence == ""
-
-
-def test_a_single_value_is_not_judged() -> None:
-    found = judged(HOUR_S, "W", [1.0], [100.0])
-    assert (found.cv_rmse, found.nmbe, found.is_met) == (None, None, None)
-    assert found.sentence == ""
-
-
-@pytest.mark.parametrize("unit", ["J", "kWh", "W/m2", "kWh/m2", "GJ"])
-def test_energy_and_power_also_per_area_are_limited(unit: str) -> None:
-    assert judged(HOUR_S, unit, [1.0] * 4).limits is HOURLY

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from records_for_tests import (
     adaptive,
     calibration,
@@ -28,7 +26,6 @@ from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.blocks import Table
 from studies.report.data import ReportData, best_of
-from studies.report.figures_model import enclosed_fraction
 from studies.report.page import write_page
 from studies.report.sentences import calibration_sentences, headline
 from studies.report.tables import (
@@ -45,7 +42,6 @@ from studies.report.wording import (
     digits_between,
     listed,
     percent,
-    setting,
     significant,
     squared,
 )
@@ -146,12 +142,6 @@ def test_page_puts_the_note_and_the_numbers_first(full: Path) -> None:
     assert "studies calibrate office --n-train 64" in text
 
 
-def test_building_again_gives_the_same_page_and_no_other_file(tmp_path: Path) -> None:
-    first, second = (build(small(), tmp_path / name) for name in ("first", "second"))
-    assert first.read_bytes() == second.read_bytes()
-    assert [file.name for file in first.parent.iterdir()] == ["index.html"]
-
-
 def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
     whole, c = case(), calibration(64)
     first, *others = parameter_box().parameters
@@ -243,12 +233,6 @@ def test_parameters_table_flags_the_bounds() -> None:
         assert column(parameters_table(whole, at), "") == [said] * 14
 
 
-def test_an_estimate_that_is_not_declared_is_left_out() -> None:
-    box = ParameterSpace(tuple(replace(one, estimate=None) for one in parameter_box().parameters))
-    table = parameters_table(replace(case(), parameter_space=box), calibration(64))
-    assert column(table, "estimate") == ["–"] * 14
-
-
 def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
     data, indices = report_data(), sensitivity()
     tuning, sobol = tuning_table(data.tuned), sensitivity_table(indices)
@@ -267,17 +251,6 @@ def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
     assert firsts == sorted(firsts, reverse=True)
     assert firsts[0] == pytest.approx(np.nanmean(indices.first_order[:, 0], axis=0).max(), abs=5e-4)
     assert tuning_table(()) is None
-
-
-def test_headline_is_the_lowest_error() -> None:
-    low, high = replace(calibration(256), mse=0.0104), replace(calibration(32), mse=0.0121)
-    best = best_of(report_data(high, low).calibrations)
-    assert best is not None
-    assert best.result is low
-    equal = replace(high, mse=0.0104)
-    best = best_of(report_data(low, equal).calibrations)
-    assert best is not None
-    assert best.result is equal
 
 
 def test_the_result_is_one_sentence_with_the_numbers_of_the_data() -> None:
@@ -306,14 +279,6 @@ def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> 
     assert {"90 % bands of the outputs", "Intervals of the parameters between their bounds"} <= {*text}
 
 
-def test_enclosed_fraction_counts_measured_values() -> None:
-    measurement = case(n_steps=4).measurement
-    values = measurement.y
-    y = np.stack([values - 1, values + 1])
-    y[:, 0] = values[0] + 5
-    assert enclosed_fraction(measurement, y) == 0.75
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [(0.01132, "0.0113"), (1.0623, "1.06"), (4297, "4,297"), (0, "0"), (math.nan, "–"), (math.inf, "∞"),
@@ -321,20 +286,6 @@ def test_enclosed_fraction_counts_measured_values() -> None:
 )  # fmt: skip
 def test_numbers_are_written_for_readers(value: float, text: str) -> None:
     assert significant(value) == text
-
-
-def test_settings_lose_no_zero_that_counts() -> None:
-    values = (100.0, 2000.0, 0.5, 3e-05, 128, True, "log", None)
-    assert [setting(value) for value in values] == [
-        "100", "2,000", "0.5", "3.00e-05", "128", "True", "log", "–",
-    ]  # fmt: skip
-
-
-@given(st.floats(1e-4, 1e6), st.integers(2, 6))
-def test_significant_digits_are_kept(value: float, digits: int) -> None:
-    assert float(significant(value, digits).replace(",", "")) == pytest.approx(
-        value, rel=0.51 * 10.0 ** (1 - digits)
-    )
 
 
 def test_words_and_units() -> None:

@@ -12,7 +12,6 @@ from toy_rc import ToyRC
 
 from simulation import InputError, Trajectories
 from simulation.file_lock import FileLock
-from simulation.fmi.runner import NeedsFreshProcess
 
 BAD_ABOVE_R = 4.0
 
@@ -114,21 +113,6 @@ class WarmingToy(SlowToy):
             time.sleep(0.6)
             self.used.append(True)
         return super().simulate(theta)
-
-
-@dataclass(frozen=True, eq=False)
-class OncePerProcessToy(SlowToy):
-    """Answers one row, and then only in another process."""
-
-    row_s: float = 0.0
-    used: list[bool] = field(default_factory=list)
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        answer = super().simulate(theta)
-        if self.used:
-            raise NeedsFreshProcess("once is enough")
-        self.used.append(True)
-        return answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,14 +76,6 @@ def test_the_fmu_s_display_units_are_units(decay_case: Path):
     assert y[0, 0, 0] == pytest.approx((300.0 - 273.15) * 0.8, abs=1e-9)
 
 
-def test_any_unit_is_taken_where_the_fmu_has_none(decay_case: Path):
-    describe(decay_case, (b'<Real unit="K"/>', b"<Real/>"))
-    edit(decay_case, ('{ first_measured = "y" }', "300.0"))
-    case = load_case(decay_case)
-    assert case.outputs[0].unit == "degC"
-    assert case.settings.output_offsets.tolist() == [0.0]
-
-
 @pytest.mark.parametrize(
     ("line", "value"),
     [

@@ -1,6 +1,5 @@
 """The keys of a case file beyond the plain case: units, bands, patience, warm-up, validation, other kinds."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,6 @@ from case_for_tests import edit
 
 from simulation import InputError, load_case
 from simulation.case_parts import with_units
-from simulation.pool.execution import ExecutionPolicy
 from simulation.robust_loss import RobustLoss
 
 ROWS = np.array([[1e-4, 0.0], [3e-5, 0.0]])
@@ -76,16 +74,6 @@ def test_an_input_is_calibrated_as_a_constant(decay_case: Path):
         load_case(decay_case)
 
 
-def test_patience_is_declared_and_changes_no_digest(decay_case: Path):
-    before = load_case(decay_case)
-    assert before.policy == ExecutionPolicy()
-    edit(decay_case, ("[fixed]", "[simulation]\ntimeout_s = inf\nretries = 2\nmax_workers = 1\n\n[fixed]"))
-    after = load_case(decay_case)
-    assert after.policy == ExecutionPolicy(timeout_s=math.inf, retries=2, max_workers=1)
-    assert after.policy.finite_timeout_s is None
-    assert (after.digest, after.model_digest) == (before.digest, before.model_digest)
-
-
 def test_a_row_outside_the_accepted_band_has_failed(decay_case: Path):
     edit(decay_case, ("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [0.0, 200.0]"))
     with load_case(decay_case).open_model() as model:
@@ -124,13 +112,6 @@ def test_validation_goes_on_where_the_window_ends(decay_case: Path):
     with case.open_model() as model, validation.open_model() as longer:
         np.testing.assert_array_equal(longer.simulate(ROWS).y[:, :n], model.simulate(ROWS).y)
     assert case.model_digest != validation.model_digest
-
-
-def test_a_window_of_the_caller_may_leave_no_validation(decay_case: Path):
-    edit(decay_case, ("[time]\n", "[time]\nvalidation_d = [0.75, 1.0]\n"))
-    assert load_case(decay_case).validation is not None
-    assert load_case(decay_case, window_d=(0.5, 0.75)).validation is not None
-    assert load_case(decay_case, window_d=(0.5, 1.0)).validation is None
 
 
 def in_seconds(folder: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from exchange_for_tests import build, run, settings
 
-from simulation import FmuModel, InputError
+from simulation import FmuModel
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
@@ -136,13 +136,6 @@ def test_inputs_of_every_type_hold_over_their_step_and_a_local_variable_is_read(
     np.testing.assert_allclose(answer.y[0, :, 0], x0, rtol=1e-8, atol=2e-6)
 
 
-def test_only_changes_of_inputs_are_events(fmu: Path):
-    u = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0])
-    answer = run(fmu, "PULSED", a=0.1, edges=np.arange(9.0), u=u)
-    # Once more by the event that ends the initialization; n is read before the event at its edge.
-    np.testing.assert_array_equal(answer.y[0, :, 1], [1, 1, 1, 1, 2, 2, 3, 3, 3])
-
-
 def test_a_model_without_states_samples_its_input(discrete: Path):
     u = np.arange(20.0)
     answer = run(discrete, "SAMPLED", a=2.5, edges=np.arange(21.0), u=u)
@@ -186,10 +179,3 @@ def test_nominal_values_set_the_absolute_tolerance(fmu: Path):
     assert errors[1] < errors[0] / 10.0
     # A thousandth of the input.
     assert errors[1] < 1e-10
-
-
-def test_what_model_exchange_cannot_do_is_one_line(fmu: Path):
-    chosen = settings(fmu, "LINEAR", edges=np.arange(5.0))
-    scenario = dataclasses.replace(chosen.scenario, n_warmup=2)
-    with pytest.raises(InputError, match="needs a co-simulation FMU that can get and set its state"):
-        dataclasses.replace(chosen, scenario=scenario, warmup_theta=np.ones(2)).open()

@@ -29,7 +29,6 @@ from slow_models import (
     HangingToy,
     LeakingToy,
     OnceCrashingToy,
-    OncePerProcessToy,
     PickyToy,
     RaisingToy,
     SlowToy,
@@ -63,23 +62,6 @@ def test_little_work_and_a_slow_first_row_get_one_worker(toy: SlowToy, numbers: 
         for n in numbers:
             model.simulate(_rows(n))
         assert model.n_processes == 1
-
-
-def test_batches_of_all_sizes_do_not_touch_each_other():
-    with PoolModel(ToyRC, 2) as model:
-        answers = [(n, model.simulate(_rows(n))) for n in (3, 70, 1, 10_000, 2)]
-    for n, answer in answers:
-        assert answer.digest == ToyRC().simulate(_rows(n)).digest
-
-
-def test_chunks_come_as_they_finish_and_each_row_once():
-    rows, seen = _rows(300, 20), []
-    with PoolModel(RaisingToy(row_s=0.001).open, 2) as model:
-        for numbers, answer in model.as_finished(rows):
-            seen += numbers.tolist()
-            assert np.array_equal(answer.theta, rows[numbers])
-            assert answer.failed.tolist() == (rows[numbers, 0] > BAD_ABOVE_R).tolist()
-    assert sorted(seen) == list(range(300))
 
 
 def test_what_cannot_work_is_refused():
@@ -148,12 +130,6 @@ def test_a_process_that_grows_is_replaced_before_it_harms():
     assert len(seen) >= 32 * 20 / 240
 
 
-def test_processes_are_replaced_as_often_as_a_model_wants():
-    rows = _rows(10)
-    with PoolModel(OncePerProcessToy().open, 2) as model:
-        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
-
-
 def test_a_batch_that_mostly_fails_stops_and_says_why(tmp_path: Path):
     rows = np.full((500, 2), [4.5, 1e4])
     rows[::3, 0] = 1.0
@@ -188,20 +164,6 @@ def test_one_licence_means_one_worker_and_one_warning(tmp_path: Path):
 def test_a_model_that_cannot_be_opened_is_an_error_of_the_user(toy: SlowToy, line: str):
     with PoolModel(toy.open, 2) as model, pytest.raises(InputError, match=line):
         model.simulate(_rows(3))
-
-
-def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
-    warnings: list[str] = []
-    rows = _rows(200)
-    policy = ExecutionPolicy(timeout_s=1.5)
-    with PoolModel(HangingToy(row_s=0.001).open, 1, policy=policy, on_warning=warnings.append) as model:
-        model.simulate(rows)
-        monkeypatch.setattr("simulation.pool.pool_model._SLOW_S", 0.5)
-        rows[100, 0] = 4.5
-        model.simulate(rows)
-    (warning,) = warnings
-    assert "has been running for 0." in warning
-    assert warning.endswith("simulation.timeout_s is 1.5")
 
 
 def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
@@ -264,20 +226,6 @@ def test_each_model_begins_paths_and_temporary_files_in_its_own_folders(
             assert model.simulate(rows).digest == expected
         # Whoever had begun in the first folder could not open it there again.
         (home / "decay.fmu").unlink()
-
-
-def test_code_of_the_user_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    model_file = tmp_path / "model_of_the_user.py"
-    # Of another size: Python takes a file of the same second and size for the same file.
-    for ambient in (10.0, 120.0):
-        text = f"from toy_rc import ToyRC\ndef opened():\n    return ToyRC(ambient={ambient})\n"
-        model_file.write_text(text)
-        sys.modules.pop("model_of_the_user", None)
-        from model_of_the_user import opened  # type: ignore[import-not-found]
-
-        with PoolModel(opened, 1) as model:
-            assert model.simulate(_rows(3)).y[0, 0, 0] == ambient
 
 
 NO_ROOM = """

@@ -3,16 +3,7 @@
 import numpy as np
 import pytest
 
-from simulation.time_unit import DAYS, HOURS, MINUTES, SECONDS, UNITS, TimeUnit, period_text, unit_for
-
-
-@pytest.mark.parametrize(
-    ("span_s", "unit"),
-    [(1e-3, SECONDS), (10, SECONDS), (119, SECONDS), (120, MINUTES), (7199, MINUTES), (7200, HOURS),
-     (36000, HOURS), (43200, DAYS), (3e7, DAYS)],
-)  # fmt: skip
-def test_the_largest_unit_that_reads_well_is_chosen(span_s: float, unit: TimeUnit):
-    assert unit_for(span_s) is unit
+from simulation.time_unit import DAYS, HOURS, SECONDS, UNITS, TimeUnit, period_text
 
 
 def test_periods_and_moments_are_said_in_their_unit():

@@ -12,19 +12,6 @@ from simulation.units import Conversion, Unit, UnitDefinition, conversion, in_si
 KELVIN = Unit.of({"K": 1}, 1.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        ("degC", "°C"),
-        ("m3/s", "m^3/s"),
-        ("W/(m2.K)", "W/(m2.degC)"),
-        ("J", "N.m"),
-    ],
-)
-def test_spellings_of_one_unit_are_the_same(first: str, second: str | None):
-    assert conversion(first, second, "here") == Conversion(1.0, 0.0)
-
-
 # Values of the international system's brochure and of the units' definitions.
 @pytest.mark.parametrize(
     ("declared", "model", "factor", "offset"),
@@ -75,11 +62,6 @@ def test_other_units_contradict(first: str, second: str, said: str):
     ) as caught:
         conversion(first, second, "here")
     assert "\n" not in str(caught.value)
-
-
-def test_a_difference_of_temperatures_has_no_offset():
-    assert conversion("degC", "K", "here", is_difference=True) == Conversion(1.0, 0.0)
-    assert conversion("degF", "K", "here", is_difference=True).factor == pytest.approx(5 / 9)
 
 
 def test_the_fmu_s_own_units_go_first():

@@ -4,10 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from studies.interrupts import is_interrupt
-
 REPOSITORY = Path(__file__).parents[2]
 # In processes of their own: the timer that looks again is pytest's as well.
 BEGINNING = """
@@ -89,19 +85,3 @@ assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
 """
     assert said_by(script) == ["ended"]
-
-
-def fail_while_interrupted() -> None:
-    try:
-        raise KeyboardInterrupt
-    finally:
-        raise ValueError("half written")
-
-
-def test_an_error_that_it_led_to_is_distinguished_from_others() -> None:
-    with pytest.raises(ValueError, match="half written") as found:
-        fail_while_interrupted()
-    assert is_interrupt(found.value)
-    assert is_interrupt(KeyboardInterrupt())
-    assert not is_interrupt(ValueError("half written"))
-    assert not is_interrupt(None)

@@ -10,7 +10,7 @@ from toy_rc import ToyRC
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.store.store import SimulationStore
-from studies.row_set import RowSet, content_of
+from studies.row_set import RowSet
 
 TOY = ToyRC()
 ROWS = TOY.simulate(uniform_design(TOY.parameter_space, 400, seed=0))
@@ -31,12 +31,3 @@ def test_a_set_is_its_rows_and_moves_with_the_store(tmp_path: Path) -> None:
     replace(found, theta=ROWS.theta[:51]).save()
     with pytest.raises(InputError, match=r"train\.npz: 1 of 51 rows are not in .*; type: studies simulate"):
         RowSet.load(found.file).read()
-
-
-def test_the_content_of_a_set_does_not_depend_on_blocks() -> None:
-    answer = replace(ROWS, theta=np.ones((400, 2)), y=np.zeros_like(ROWS.y), failures=("why",) * 400)
-    blocks = [answer.take(np.arange(start, min(start + 7, 400))) for start in range(0, 400, 7)]
-    assert content_of(iter([answer])) == content_of(iter(blocks))
-    assert content_of(iter(blocks[:-1])) != content_of(iter(blocks))
-    # Finished stages of earlier versions name their sets so.
-    assert content_of(iter(blocks))[0][:16] == "1d4b782a038e1af0"

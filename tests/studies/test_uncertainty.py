@@ -127,32 +127,6 @@ def test_a_emulator_that_is_right_leaves_the_model_the_sample_alone():
     assert judged_with(product(), max_calls=30).n_calls == 30 - 6
 
 
-def test_what_a_emulator_samples_is_its_density_to_the_ends_of_a_valley():
-    """A product's factors along all of their valley, against a grid: no surrogate of it is in between."""
-    space = ParameterSpace(tuple(Parameter(n, lower=0.2, upper=5.0, scale="log") for n in "ab"))
-    model = Formula(space, lambda theta, t: theta[0] * theta[1] * t)
-    theta = np.array([2.5, 0.5])
-    problem = posed(model, theta)
-    noise = noise_of("sensor", problem.measurement, model.simulate(theta[None]).y[0], 2)
-    found = assess(
-        problem, theta, model.simulate(theta[None]).y[0], noise=noise, known=None,
-        sampling=sampling_within(60, 2), seed=0, emulator=model,
-    )  # fmt: skip
-    assert found.by_equations
-    # All that counts is the product, which the box lets lie at more places the nearer it is to 1.
-    axis = (np.arange(2000) + 0.5) / 2000
-    a = space.from_unit(np.column_stack([axis, axis]))[:, 0]
-    measured = problem.measurement.y[:, 0]
-    product = np.multiply.outer(a, a)
-    squares = measured @ measured - 2.0 * product * (TIME @ measured) + product**2 * (TIME @ TIME)
-    density = np.exp(-0.5 * (squares - squares.min()) / SIGMA**2)
-    mass = np.cumsum(density.sum(axis=1)) / density.sum()
-    exact = np.interp([0.05, 0.5, 0.95], mass, axis)
-    # Six hundred points know the end of a 90 % interval to 1 %, its middle to 2 %.
-    assert found.interval[:, 0] == pytest.approx(exact, abs=0.04)
-    assert found.sample.n_effective > 0.99 * Sampling.n_sample
-
-
 def test_a_emulator_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + (theta[2] + 0.3) * t**2)
     found, alone = judged_with(bent), judged_with(None)
@@ -181,16 +155,6 @@ def test_a_emulator_may_leave_a_direction_open_beside_the_narrowest_one(sigma: f
     # At 1e-10 the last digits of the sums count, which differ from machine to machine.
     rel = 0.3 if sigma > 1e-10 else 0.5
     assert np.std(known) == pytest.approx(sigma / np.sqrt(TIME @ TIME) / (1.5 * 0.7), rel=rel)
-
-
-def test_a_sample_is_as_narrow_as_its_density():
-    sigma = 1e-6
-    problem = posed(line(), [0.3, -0.4], sigma=sigma, uncertainty=sigma)
-    best, _ = least_squares(problem)
-    found = assessed(problem, best, kind="sensor").sample
-    excess = (found.drawn.mse - problem.mse(problem.space.to_unit(best))[0]) * TIME.size / sigma**2
-    # Chi square of two parameters; 48 members know its mean to 15 %. Rounding to 1e-5 made it 1e4.
-    assert found.weights @ excess == pytest.approx(2.0, rel=0.5)
 
 
 def test_a_prior_enters_as_it_is():
@@ -238,16 +202,6 @@ def test_a_product_is_known_and_its_factors_are_not():
     assert found.n_calls <= 100
 
 
-def test_the_same_seed_asks_the_same_rows_and_stored_rows_are_not_asked():
-    problem = posed(line(), [0.3, -0.4])
-    best, _ = least_squares(problem)
-    counter = CountingModel(problem.model)
-    first = assessed(problem, best, n_particles=200)
-    again = assessed(problem.on(counter), best, n_particles=200)
-    assert np.array_equal(first.sample.drawn.theta, again.sample.drawn.theta)
-    assert counter.n_calls == again.n_calls + 1  # the point itself, asked by the test
-
-
 def test_ninety_percent_intervals_hold_the_truth_nine_times_in_ten():
     rng = np.random.default_rng(5)
     n, held = 300, np.zeros(2)
@@ -263,18 +217,6 @@ def test_ninety_percent_intervals_hold_the_truth_nine_times_in_ten():
         held += np.abs(problem.space.to_unit(truth) - problem.space.to_unit(best)) <= 1.645 * spread
     # Three standard deviations of so many coin tosses are 0.05.
     assert held / n == pytest.approx(0.9, abs=0.05)
-
-
-def test_noise_that_follows_itself_widens_intervals():
-    problem = posed(line(), [0.3, -0.4])
-    slow = np.cumsum(np.random.default_rng(0).standard_normal(60)) * 0.02
-    measurement = Measurement.on_grid(TIME, problem.measurement.y + slow[:, None], ("y",), np.array([0.05]))
-    y = line().simulate(np.array([[0.3, -0.4]])).y[0]
-    white, correlated = (noise_of(kind, measurement, y, 2) for kind in ("white", "correlated"))
-    assert white.n_independent == 60
-    assert correlated.n_independent < 30
-    assert correlated.deviation >= white.deviation
-    assert correlated.raised > 1.4 * white.raised
 
 
 @pytest.mark.parametrize(("rho", "n_fitted"), [(0.0, 14), (0.5, 14), (0.9, 7), (0.9, 14)])
@@ -319,19 +261,6 @@ def test_many_open_parameters_are_filled_evenly(rate):
     # The shares are those of a sum that leaves either parameter anywhere.
     assert np.quantile(found[:, 0], [0.05, 0.5, 0.95]) == pytest.approx([0.05, 0.5, 0.95], abs=0.06)
     assert np.quantile(found[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([0.03, 0.3, 0.57], abs=0.06)
-
-
-def test_particles_fill_a_hyperbola():
-    """a b = 0.2 and five narrow coordinates: a is even in its logarithm from 0.2 to 1."""
-
-    def log_density(u):
-        product = ((u[:, 0] * u[:, 1] - 0.2) / 0.01) ** 2
-        return -0.5 * product - 0.5 * np.sum(((u[:, 2:] - 0.6) / 0.02) ** 2, axis=1)
-
-    found = sample_density(log_density, Reference.even(7), seed=0, n_particles=2000)
-    shares = np.quantile(np.log(found[:, 0] / 0.2) / np.log(5.0), [0.05, 0.25, 0.5, 0.75, 0.95])
-    assert shares == pytest.approx([0.05, 0.25, 0.5, 0.75, 0.95], abs=0.05)
-    assert found[:, 2:].std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
 @pytest.mark.parametrize("narrow", [0.01, 0.03])
@@ -408,15 +337,6 @@ def test_a_parameter_that_fails_on_one_side_is_judged_by_the_other():
     cut = replace(whole, f=lambda theta, t: np.where(theta[0] > 0.31, np.nan, theta[0] + theta[1] * t))
     assert around(cut, [0.3, -0.4]).spread == pytest.approx(around(whole, [0.3, -0.4]).spread)
     assert around(cut, [0.3, -0.4]).null_directions == ()
-
-
-def test_a_parameter_that_fails_on_both_sides_is_not_said_to_change_nothing():
-    cut = replace(
-        line(), f=lambda theta, t: np.where(abs(theta[0] - 0.3) < 1e-6, theta[0] + theta[1] * t, np.nan)
-    )
-    found = around(cut, [0.3, -0.4])
-    assert found.is_unknown.tolist() == [True, False]
-    assert found.null_directions == ()
 
 
 def test_where_simulations_fail_few_are_asked():

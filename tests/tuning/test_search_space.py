@@ -10,7 +10,7 @@ from toy_study_for_tests import SEARCH, plain_study, toy_study
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.profile import load_profile, profile_names
+from studies.profile import load_profile
 from studies.search_space import (
     NETWORK_SPACE,
     PCA_GP_SPACE,
@@ -143,11 +143,6 @@ def test_a_wrong_profile_is_reported_in_one_line(
         load_profile(str(file))
     assert "\n" not in str(reported.value)
     assert str(reported.value).startswith(str(file))
-
-
-@pytest.mark.parametrize("name", profile_names())
-def test_shipped_profiles_search_what_the_title_promises(name: str) -> None:
-    assert {"n_latent", "n_hidden", "beta"} <= set(load_profile(name).tuning.space)
 
 
 def test_the_configurations_of_a_profile_come_right_after_the_default(project: ProjectPaths) -> None:
