@@ -57,18 +57,6 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     assert np.median(gains) < SEARCH.promised
 
 
-def test_a_gain_forgets_what_was_tested_before() -> None:
-    confirmation = Confirmation(1)
-    confirmation.note_best(1.0)
-    confirmation.note_test(NOTHING)
-    confirmation.n_restarts = 1
-    confirmation.note_best(1.0 - 0.5 * SEARCH.confirmed)
-    assert (confirmation.n_tested, confirmation.n_restarts) == (1, 1)
-    # Small gains add up.
-    confirmation.note_best(1.0 - 1.5 * SEARCH.confirmed)
-    assert confirmation.n_tested == confirmation.n_restarts == 0
-
-
 def looked(least_restarts: int, gains: FloatArray) -> Confirmation:
     """Make all tests and restarts that are owed, none of which gains anything."""
     confirmation = Confirmation(least_restarts)
@@ -96,9 +84,3 @@ def test_what_is_promised_and_not_found_is_said(least_restarts: int) -> None:
         f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
         in confirmation.still_owed(1e-3)
     )
-
-
-def test_a_model_that_switches_stops_where_smooth_functions_promise_nothing() -> None:
-    ending = looked(1, NOTHING).ending(switches=True)
-    assert not ending.converged
-    assert "switches at times that depend on its parameters" in ending.reason

@@ -4,17 +4,11 @@ import json
 import sys
 from pathlib import Path
 
-import numpy as np
-
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 from fewest_calls.__main__ import main  # noqa: E402
-from fewest_calls.counted import run_once  # noqa: E402
-from fewest_calls.problems import posed, problems  # noqa: E402
 from fewest_calls.table import OURS  # noqa: E402
-
-from simulation.counting import CountingModel  # noqa: E402
 
 RUNS = ["--problems", "wall, instance 7", "--instances", "7", "--brute-force", "1", "--seeds", "1"]
 RUNS += ["--max-calls", "25"]
@@ -40,21 +34,3 @@ def test_two_methods_on_the_wall_are_measured_once_and_shown(tmp_path, capsys):
     assert "| wall, instance 7 |" in shown
     assert f"Where `{OURS}` loses:" in shown
     assert picture.stat().st_size > 10_000
-
-
-def test_calls_are_those_of_the_model():
-    (entry,) = [one for one in problems([]) if one.name == "wall"]
-    with posed(entry.make().case) as problem:
-        counter = CountingModel(problem.model)
-
-        def search(asked, seed, max_calls):
-            rng = np.random.default_rng(seed)
-            while True:
-                asked.evaluate(rng.random((3, asked.space.n_parameters)))
-
-        run = run_once(search, problem.on(counter), 0, max_calls=10, best=1e-9, factor=1.02, at_once=2)
-    assert run.ended == "budget"
-    assert run.n_calls == counter.n_calls == 9
-    assert set(run.calls) <= {3, 6, 9}
-    assert run.rounds == [2 * calls // 3 for calls in run.calls]
-    assert run.mse == sorted(run.mse, reverse=True)

@@ -135,17 +135,6 @@ def test_a_narrow_prior_holds_its_parameter_and_the_mse_stays_the_data_s() -> No
     assert free.objective == free.mse
 
 
-@pytest.mark.parametrize("coordinates", ["declared", "linear"])
-def test_logarithmic_priors_meet_in_all_coordinates(coordinates: str) -> None:
-    settings = LeastSquaresTRF(ftol=1e-12, coordinates=coordinates)  # type: ignore[arg-type]
-    found = settings.minimize(logarithmic(1.2), np.array([0.3, 0.6]))
-    around = logarithmic(1.2).objective(
-        found.u + np.array([[0, 0], [1e-3, 0], [-1e-3, 0], [0, 1e-3], [0, -1e-3]])
-    )
-    assert (around[1:] > around[0]).all()
-    assert found.objective == around[0]
-
-
 def test_the_penalty_is_what_is_written() -> None:
     problem = logarithmic(1.5, centre=2.0)
     prior = problem.prior
@@ -174,13 +163,6 @@ def test_derivatives_are_exact() -> None:
     np.testing.assert_allclose(hessian, np.diag(prior.row_slopes(12) ** 2) * 2 / 12, rtol=1e-12)
 
 
-def test_without_a_prior_the_objective_is_the_mse_itself() -> None:
-    problem = rc_problem(noise=0.2)
-    answer = problem.evaluate(np.random.default_rng(0).random((4, 2)))
-    assert answer.objective is answer.mse
-    assert Prior.of(problem.space, problem.measurement) is None
-
-
 def measured(uncertainty: float = 0.5, lasts_s: float | None = None) -> Measurement:
     posed = Measurement.on_grid(TIME, np.sin(TIME)[:, None], ("y",), np.array([uncertainty]))
     return replace(posed, lasts_s=None if lasts_s is None else np.array([lasts_s]))
@@ -204,25 +186,6 @@ def test_a_sensor_of_unknown_uncertainty_weighs_nothing() -> None:
         Prior.of(Line().parameter_space, measured(uncertainty=np.inf))
 
 
-def test_fourth_powers_are_refused() -> None:
-    with pytest.raises(InputError, match='use "signed"'):
-        LeastSquaresTRF(residuals="squared").minimize(line_problem(), np.full(3, 0.5))
-
-
 def test_a_prior_of_other_parameters_is_refused() -> None:
     with pytest.raises(ValueError, match="the prior is of 3 parameters, the model has 2"):
         replace(rc_problem(), prior=line_problem().prior)
-
-
-@pytest.mark.parametrize(
-    ("scale", "belief", "message"),
-    [
-        ("linear", Belief(9.0, 1.0), "about = 9 lies outside the bounds 1 to 4"),
-        ("linear", Belief(2.0, 0.0), "within = 0; give a number above 0"),
-        ("log", Belief(2.0, 1.0), "within_factor = 1; give a number above 1"),
-        ("log", Belief(2.0, np.inf), "within_factor = inf"),
-    ],
-)
-def test_impossible_beliefs_are_refused(scale: str, belief: Belief, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Parameter("a", 1.0, 4.0, scale=scale, prior=belief)  # type: ignore[arg-type]

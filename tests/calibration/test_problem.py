@@ -28,12 +28,6 @@ def test_residuals_are_simulated_minus_measured() -> None:
     assert residuals[0, 1:].min() > 0.0
 
 
-def test_mse_is_the_mean_of_the_squared_residuals_of_each_row() -> None:
-    problem = rc_problem()
-    u = np.random.default_rng(0).random((5, 2))
-    np.testing.assert_allclose(problem.mse(u), [np.mean(row**2) for row in problem.residuals(u)], rtol=1e-12)
-
-
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6))
 def test_rows_are_judged_independently(seed: int, n: int) -> None:

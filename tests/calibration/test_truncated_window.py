@@ -85,7 +85,7 @@ def test_an_output_that_varies_less_than_its_sensor_errs_counts_only_alone() -> 
 def test_finds_a_frequency_among_its_many_valleys() -> None:
     problem = wave_problem()
     best = problem.mse(problem.space.to_unit(TRUE_WAVE))[0]
-    ends = [Adaptive(max_calls=60).minimize(problem, seed=seed) for seed in range(3)]
+    ends = [Adaptive(max_calls=60).minimize(problem, seed=seed) for seed in range(2)]
     assert all(found.mse <= 1.1 * best for found in ends), [found.mse / best for found in ends]
 
 

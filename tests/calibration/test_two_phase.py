@@ -1,7 +1,6 @@
 """The paper's method: what is counted, what is returned, and a screened point that fails."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
 from toy_rc import ToyRC
 
 from simulation.forward_model import ForwardModel
-from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import CalibrationResult, calibrate_two_phase
@@ -86,9 +84,3 @@ def test_a_physical_model_that_never_answers_is_a_result_not_an_error() -> None:
     assert result.mse_polished == np.inf
     assert "cannot be simulated" in result.polish_stop_reason
     assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["mse_polished"] is None
-
-
-def test_the_ledger_adds_up_both_ways() -> None:
-    ledger = Ledger(n_train=64, n_validation=320, n_test=320, n_screen_checks=1, n_polish=123)
-    assert (ledger.total_paper, ledger.total_calls) == (188, 828)
-    assert replace(ledger, n_polish=0).to_dict()["total_paper"] == 65

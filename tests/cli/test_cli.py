@@ -238,19 +238,3 @@ def test_a_number_is_never_broken_and_a_unit_in_brackets_is_no_markup(
             assert f" {number} " in said.replace("\n", " \n")
         assert "[standard" in said
         assert max(map(len, said.splitlines())) <= width
-
-
-@pytest.mark.parametrize(
-    ("columns", "words"), [(60, "adaptive, 25 calls, b…"), (120, "adaptive, 25 calls, best MSE")]
-)
-def test_a_narrow_window_keeps_the_times_of_a_bar(
-    columns: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", str(columns))
-    monkeypatch.setenv("TERM", "xterm")
-    with Console().bars() as show:
-        show("adaptive", 25, 30, ", 25 calls, best MSE 0.0113 K²")
-    said = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", capsys.readouterr().err)
-    assert words in said
-    assert "0:00:00 to go" in said

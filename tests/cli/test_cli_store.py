@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import pandas
-import pytest
 from project_for_tests import Run, stored_simulations
 
 SIMULATE = ("simulate", "--profile", "smoke", "--json")
@@ -60,13 +59,6 @@ def test_a_batch_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     assert "Traceback" not in answer.err
     assert answer.document["error"] in line
     assert len(rows_of(project)) >= 20
-
-
-@pytest.mark.parametrize("address", ["scheduler", "tcp://here"])
-def test_an_address_that_is_none_is_refused(project: Path, studies: Run, address: str) -> None:
-    answer = studies("simulate", "--dask", address)
-    assert answer.code == 2
-    assert "is no scheduler's address; give e.g. tcp://scheduler:8786" in answer.err
 
 
 def test_other_bounds_share_the_store_and_another_output_does_not(project: Path, studies: Run) -> None:

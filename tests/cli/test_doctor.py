@@ -1,19 +1,18 @@
 """The doctor on the real office, on a sound case and on spoilt ones."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from bad_cases_for_tests import counted, make_bad_case
-from project_for_tests import Answer, Run, add_case
+from project_for_tests import Answer, Run
 
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
 from simulation.trajectories import Trajectories
-from studies.doctor.declared import look_at_data, look_at_declaration
+from studies.doctor.declared import look_at_data
 from studies.doctor.time_budget import EXAMINATION_S, TimeBudget
 from studies.doctor.variants import look_at_order
 
@@ -124,7 +123,6 @@ def test_a_time_out_is_no_sign_of_what_an_fmu_keeps(failures: tuple[str, str], l
         ("HANG", 1, "corners of the box", "warn", "did not answer within 1 s", "narrow the bounds"),
         ("LICENCE", 1, "opening the FMU", "fail", "no licence for", "max_workers"),
         ("UNITS", 0, "units of the outputs", "warn", "K is very cold: rather degC", "compare"),
-        ("STICKY", 0, "starting the FMU over", "warn", "each row gets a new instance", "results are right"),
         ("FROZEN", 0, "starting the FMU over", "warn", "each row gets a new process", "results are right"),
         (
             "ICED",
@@ -194,27 +192,6 @@ def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     assert "ySupTAC" in found["series that never change"].found
 
 
-@pytest.mark.parametrize(
-    ("kept", "said"),
-    [
-        (slice(None), "days 0 to 10 are covered: 481 measured values"),
-        (slice(96, 145), "TAir is covered from day 2 to day 3 of days 0 to 10: 49 measured values"),
-        (slice(0, 3), "TAir is covered to day 0.0416667 of days 0 to 10: 3 measured values"),
-    ],
-)
-def test_a_measurement_that_ends_within_the_window_is_worth_a_look(
-    project: Path, kept: slice, said: str
-) -> None:
-    case = load_case(project / "fmus" / "office")
-    (samples,) = case.measurement.samples
-    fewer = replace(samples, time=samples.time[kept], values=samples.values[kept])
-    spoilt = replace(case, measurement=replace(case.measurement, samples=(fewer,)))
-    (found,) = (one for one in look_at_data(spoilt) if one.what == "data")
-    assert said in found.found
-    assert (found.level == "ok") == ("are covered" in said)
-    assert bool(found.remedy) == (found.level == "warn")
-
-
 @pytest.mark.parametrize(("value", "is_named"), [("-9999", True), ("9999", False)])
 def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
     project: Path, value: str, is_named: bool
@@ -233,17 +210,6 @@ def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
     assert said.startswith("TAmb falls to -8") == is_named
     assert ("mostly" in said) == is_named
     assert "units of the data" not in found
-
-
-@pytest.mark.parametrize(("value", "said"), [("-5.0", "GOut = -5 (0 to ...)"), ("200.0", ""), ("0", "")])
-def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
-    tmp_path: Path, value: str, said: str
-) -> None:
-    file = add_case(tmp_path)
-    edit(file, "GOut = 200.0", f"GOut = {value}")
-    beyond = [one for one in look_at_declaration(load_case(file)) if one.what.startswith("fixed values")]
-    assert [one.level for one in beyond] == (["warn"] if said else [])
-    assert all(said in one.found and "[fixed]" in one.remedy for one in beyond)
 
 
 def test_a_slow_model_is_examined_with_as_few_simulations_as_fit() -> None:

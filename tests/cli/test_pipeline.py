@@ -117,23 +117,6 @@ def test_other_inputs_or_a_missing_or_changed_file_mean_again(study: Study) -> N
     assert worker.n_done == 5
 
 
-@pytest.mark.parametrize(
-    ("failed", "n_done"),
-    [
-        (True, 2),
-        (False, 1),
-    ],
-)
-def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
-    study: Study, failed: bool, n_done: int
-) -> None:
-    Worker(study, replace(RESULT, has_failures=failed)).run({"a": 1})
-    patient = Worker(replace(study, retry_failed=True))
-    first, second = patient.run({"a": 1}), patient.run({"a": 1})
-    assert 1 + patient.n_done == n_done
-    assert (first.reused, second.reused) == (n_done == 1, True)
-
-
 def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(study: Study) -> None:
     worker = Worker(study, replace(RESULT, has_failures=True))
     worker.run({})

@@ -87,16 +87,6 @@ def test_running_trials_are_shown_with_their_epoch_and_waiting_ones_are_counted(
     assert "1 running, 1 waiting" in shown
 
 
-def test_duplicates_have_their_whole_names_and_best_takes_the_latest(project: Path, studies: Run) -> None:
-    specs = [declared("office-quick", 64, seed=seed) for seed in (1, 2)]
-    duplicates = [write_study(project, spec, n_trials=4) for spec in specs]
-    shown = studies("status").out
-    assert all(spec.name in shown for spec in specs)
-    (model,) = studies("best", "--json").document["sizes"]
-    assert model["study"] == specs[1].name
-    assert model["mae"] == duplicates[1].best_trial.user_attrs["test/mae"]
-
-
 def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run) -> None:
     for label in ("office-quick", "office-quick-seed1", "office-paper"):
         write_study(project, declared(label, 64), n_trials=1)

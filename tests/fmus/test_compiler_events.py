@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
-from fmu_for_tests import Driver
 
 BALL = """
 model M "Ball that bounces, hit by a hammer when it has bounced three times"
@@ -71,37 +70,3 @@ def test_a_ball_bounces_where_its_parabolas_say(build, version):
         # Runge-Kutta is exact on parabolas; the integrator of a master is asked for 1e-9.
         np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 if kind == "CoSimulation" else 1e-6)
         np.testing.assert_array_equal(count, n)
-
-
-def test_conditions_that_depend_on_time_inputs_and_each_other(build, tmp_path):
-    source = """
-model M "Test"
-  input Real u(unit="1", start=0) "Switch";
-  Real x(unit="1", start=0, fixed=true) "State";
-  Boolean late "After a second";
-  discrete Real level(unit="1", start=1, fixed=true) "Level";
-  output Real y(unit="1") "Output";
-equation
-  late = time > 1;
-  der(x) = if late and not u > 0.5 then level else 0;
-  y = x;
-  when x > 0.55 then
-    level = pre(level) + 1;
-  elsewhen x > 0.75 then
-    level = 10;
-  end when;
-  when level > 1.5 then
-    reinit(x, x + 0.125);
-  end when;
-end M;
-"""
-    fmu = build(source, EVENTS)
-    driver = Driver(fmu, tmp_path / "unpacked")
-    driver.initialize()
-    y = driver.run(["u"], [[float(k in (14, 15))] for k in range(18)], 0.1, "y")
-    driver.close()
-    # From 1 s on x grows by 1/s; the input holds it for the two steps from 1.4 s. At 0.55 it jumps to 0.675
-    # and grows by 2/s; at 0.75, after 37.5 ms, the second branch makes that 10/s.
-    expected = np.interp(np.arange(18) / 10, [1.0, 1.4, 1.6, 1.7], [0.0, 0.4, 0.4, 0.5])
-    expected = np.append(expected, 0.75 + 10 * 0.0125)
-    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)

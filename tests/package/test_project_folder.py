@@ -10,7 +10,6 @@ from simulation.errors import InputError
 from studies import entry
 from studies.cli import main
 from studies.console import Console
-from studies.embedded import adopt_cases
 from studies.marker import mark_project
 from studies.paths import ProjectPaths, find_case, find_project
 
@@ -81,18 +80,6 @@ def test_a_case_of_the_project_comes_before_an_embedded_one(folder: Path) -> Non
     own.unlink()
     own.symlink_to(own)  # a link that leads nowhere is the project's, too
     assert find_case(paths, "wall") == own
-
-
-def test_cases_are_copied_to_their_recording(folder: Path) -> None:
-    adopted = {file.relative_to(folder).as_posix() for file in adopt_cases(folder, "office-recorded")}
-    assert adopted == {
-        "fmus/office-authors/case.toml",
-        "fmus/office-recorded/case.toml",
-        "fmus/office-whitebox-metered/office-whitebox-recorded.toml",
-    }
-    assert (folder / "fmus" / "office" / "Office.fmu").is_file()
-    assert adopt_cases(folder, "office-recorded") == []
-    assert adopt_cases(REPOSITORY, "office-recorded") == []
 
 
 def test_another_machine_gets_one_line_with_what_is_missing(

@@ -12,10 +12,8 @@ from rc_step_for_tests import PROCESSES, rc_step
 from scipy.optimize import check_grad
 
 from pelsvae import linear_vae
-from pelsvae.epochs import EpochReport
 from pelsvae.kernel import Kernel
 from pelsvae.kernel_loss import kernel_loss
-from pelsvae.kernel_search import ROWS
 from pelsvae.linear_vae import LinearVae
 from pelsvae.process_fitting import MANY_ROWS
 from pelsvae.surrogate_files import load_surrogate, save_surrogate
@@ -99,30 +97,10 @@ def test_bands_cover_their_share_of_fresh_rows() -> None:
     assert (np.abs(inside.mean(axis=(0, 1)) - 0.9) < 0.05).all()
 
 
-def test_a_network_states_no_deviation() -> None:
-    surrogate = fitted(regressor="network", n_hidden=8, n_latent=2).surrogate
-    assert not surrogate.states_deviation
-    with pytest.raises(ValueError, match="states no deviation"):
-        surrogate.deviation([[1.0, 2.0]])
-
-
 def test_same_seed_same_kernels_and_other_seed_others() -> None:
     first, again, other = (network_of(fitted(seed=seed)).hyper for seed in (0, 0, 1))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
-
-
-def test_reports_end_with_the_surrogate_itself() -> None:
-    reports: list[EpochReport] = []
-    theta, y = rc_step(2 * ROWS[0], seed=1)
-    result = fit(theta, y, rc_step(20, seed=2), config=PROCESSES, seed=0, on_epoch=reports.append)
-    epochs = [report.epoch for report in reports]
-    assert epochs == sorted(set(epochs))
-    assert (epochs[-1], result.best_epoch, result.n_epochs) == (PROCESSES.max_epochs,) * 3
-    theta, y = rc_step(20, seed=2)
-    assert reports[-1].validation_mae == pytest.approx(np.abs(result.surrogate.predict(theta) - y).mean())
-    # Rows that are added are known better than the first ones were.
-    assert reports[-1].train_loss < reports[0].train_loss
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")

@@ -25,7 +25,6 @@ from studies.report.drawing import Figure, with_gaps, write_png
 from studies.report.figures_calibration import (
     calibration_figure,
     calls_figure,
-    residual_reach,
     validation_figure,
 )
 from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
@@ -133,34 +132,11 @@ def test_calibrations_that_went_badly_are_drawn(make: Callable[[], Calibration],
     assert ink(calls_figure(replace(case(), references=()), c), tmp_path / "p.png") > 0.01
 
 
-def test_a_large_training_set_does_not_squeeze_the_polish() -> None:
-    (panel,) = calls_figure(case(), calibration(4096, n_polish=65)).panels
-    first, last = panel.x.scale["domain"]
-    assert 4096 - 65 < first < 4096 < 4096 + 65 < last
-
-
 def test_the_screened_point_stands_where_the_polish_begins() -> None:
     c = calibration()
     figure = calls_figure(case(), c)
     assert values(figure, "by the model, as screened", "x") == [c.history_calls[0]]
     assert values(figure, "0.00642 K² polished", "x")[0] == c.history_calls[0]
-
-
-def test_a_residual_is_no_line_within_a_wide_band() -> None:
-    assert residual_reach(0.4, 0.5) == 1.25 * 0.5
-    assert residual_reach(2.0, 0.5) == 1.12 * 2.0
-    # A hundredth of the band: the axis is the residual's.
-    assert residual_reach(0.005, 0.5) == 1.12 * 0.005
-    assert residual_reach(0.0, 0.5) == 1.25 * 0.5
-    assert residual_reach(0.0, np.nan) == 1.0
-
-
-@pytest.mark.parametrize("n_outputs", [1, 2])
-def test_several_outputs_get_panels_of_their_own(n_outputs: int) -> None:
-    k = n_outputs
-    assert len(calibration_figure(case(k), calibration(n_outputs=k)).panels) == 2 * k
-    assert len(coverage_figure(case(k), coverage(8, n_outputs=k)).panels) == k
-    assert len(sensitivity_figure(sensitivity(6, n_outputs=k)).panels) == 2 * k
 
 
 def test_undeclared_uncertainty_draws_no_band() -> None:

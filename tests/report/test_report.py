@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -25,9 +24,9 @@ from records_for_tests import (
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.blocks import Table
-from studies.report.data import ReportData, best_of
+from studies.report.data import ReportData
 from studies.report.page import write_page
-from studies.report.sentences import calibration_sentences, headline
+from studies.report.sentences import calibration_sentences
 from studies.report.tables import (
     calibrations_table,
     intervals_table,
@@ -39,7 +38,6 @@ from studies.report.wording import (
     count,
     declared,
     difference_unit,
-    digits_between,
     listed,
     percent,
     significant,
@@ -205,16 +203,6 @@ def test_calibrations_table_holds_the_numbers() -> None:
         assert {title: column(table, title)[k] for title in expected} == expected
 
 
-def test_what_is_unknown_is_a_dash() -> None:
-    c = calibration(64)
-    assert c.screening is not None
-    c = replace(c, screening=replace(c.screening, mse=math.inf, errors={}))
-    far = replace(case(), references=(KnownError("far", 1e-9, is_target=True),))
-    table = calibrations_table(far, report_data(c).calibrations)
-    assert column(table, "MSE screened") == ["∞"]
-    assert column(table, "test MAE") == column(table, "calls to 1e-09") == ["–"]
-
-
 def test_parameters_table_flags_the_bounds() -> None:
     c, whole = calibration(64), case()
     box = whole.parameter_space
@@ -253,13 +241,6 @@ def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
     assert tuning_table(()) is None
 
 
-def test_the_result_is_one_sentence_with_the_numbers_of_the_data() -> None:
-    best = best_of(report_data().calibrations)
-    assert best is not None
-    ended = "it ended because the cost changes by less than ftol"
-    assert headline(case(), best) == f"MSE 0.006422 K² after 189 model calls (32 s); {ended}"
-
-
 def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> None:
     found = uncertainty()
     near = {"TTABSInit": (301.15031, 301.15037), "rInt": (0.1, 0.9)}
@@ -277,15 +258,6 @@ def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> 
     text = checked(page).text
     assert "How sure the adaptive calibration is" in text
     assert {"90 % bands of the outputs", "Intervals of the parameters between their bounds"} <= {*text}
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.01132, "0.0113"), (1.0623, "1.06"), (4297, "4,297"), (0, "0"), (math.nan, "–"), (math.inf, "∞"),
-     (-math.inf, "−∞"), (2e-7, "2.00e-07"), (-0.5, "-0.500")],
-)  # fmt: skip
-def test_numbers_are_written_for_readers(value: float, text: str) -> None:
-    assert significant(value) == text
 
 
 def test_words_and_units() -> None:
@@ -327,24 +299,3 @@ def test_the_page_says_what_became_of_state_equations_and_what_is_left_open(tmp_
     assert said[2].startswith("The data do not determine 1 of 14 parameters")
     text = " ".join(checked(build(small(found), tmp_path)).text)
     assert all(f"{line}." in text for line in said)
-
-
-def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> None:
-    data = small(adaptive(), calibration(64))
-    best = best_of(data.calibrations)
-    assert best is not None
-    assert best.result.is_adaptive
-    page = checked(build(data, tmp_path))
-    assert "calibration" in page.ids
-    table = calibrations_table(data.case, data.calibrations)
-    assert column(table, "method") == ["adaptive", "paper"]
-    assert column(table, "calls, paper's count") == ["71", "189"]
-    assert column(table, "MSE screened")[0] == "–"
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "digits"),
-    [(0.2, 5.0, 3), (285.6, 285.7, 5), (1.0, 1.0, 3), (-1e-9, 1.0, 3), (1e5, 1.2e5, 3)],
-)
-def test_ends_of_an_interval_differ(low: float, high: float, digits: int) -> None:
-    assert digits_between(low, high) == digits

@@ -90,32 +90,6 @@ class RaisingToy(SlowToy):
 
 
 @dataclass(frozen=True, eq=False)
-class LeakingToy(SlowToy):
-    """Takes 20 MB with every row and never gives them back."""
-
-    row_s: float = 0.01
-    kept: list[np.ndarray] = field(default_factory=list)
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        self.kept.extend(np.ones(2_500_000) for _ in theta)
-        return super().simulate(theta)
-
-
-@dataclass(frozen=True, eq=False)
-class WarmingToy(SlowToy):
-    """Takes long over its first row in a process, like a model that compiles something."""
-
-    row_s: float = 0.0
-    used: list[bool] = field(default_factory=list)
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        if not self.used:
-            time.sleep(0.6)
-            self.used.append(True)
-        return super().simulate(theta)
-
-
-@dataclass(frozen=True, eq=False)
 class PickyToy(SlowToy):
     """Opens only once at a time, like an FMU with one licence, or never."""
 

@@ -155,26 +155,3 @@ def test_times_may_count_other_units_than_seconds(tmp_path: Path, unit: str, len
         found = read_recording(file, ["T"], time_column=name)
         np.testing.assert_allclose(found.time, np.array([0.5, 1.5, 2.5]) * length_s)
         assert found.clock == "seconds"
-
-
-GOOD = [(START + timedelta(minutes=30 * i)).strftime("%Y-%m-%d %H:%M") for i in range(49)]
-
-
-def test_a_wrong_timestamp_is_one_line(decay_case: Path):
-    stamped(decay_case, [*GOOD[:5], "21/02/2018 02:30", *GOOD[6:]])
-    with pytest.raises(InputError, match=r"line 7, column time: '21/02/2018 02:30' is no timestamp; write"):
-        load_case(decay_case)
-    stamped(decay_case, [*GOOD[:5], GOOD[5] + "Z", *GOOD[6:]])
-    with pytest.raises(InputError, match=r"line 7, column time: 2018-02-21 02:30Z is not written like the"):
-        load_case(decay_case)
-
-
-def test_a_start_without_a_measured_value_needs_a_number(decay_case: Path):
-    times = [t for t in range(0, DAY, 1800) if not 18000 <= t <= 27000]
-    own_file(decay_case, [f"{t},20" for t in times])
-    with pytest.raises(
-        InputError, match=r"fixed\.x0: .* has no value of T_degC near the start, 21600 s; give a"
-    ):
-        load_case(decay_case)
-    edit(decay_case, ('{ first_measured = "y" }', "{ value = 20.0, unit = 'degC' }"))
-    assert load_case(decay_case).fixed["x0"] == pytest.approx(293.15)

@@ -140,15 +140,3 @@ def test_a_loss_leaves_small_differences_as_they_are_and_can_be_undone(kind: Los
         assert shrunk[0] == size
     assert shrunk[0] <= size
     np.testing.assert_allclose(loss.grown(shrunk), d, rtol=1e-12)
-
-
-def test_no_loss_is_squares_bit_for_bit_with_the_same_digest():
-    plain, rows = _grid(_rows(1, 2)[0]), _rows(3, 2)
-    squares = replace(plain, losses=(None, None))
-    np.testing.assert_array_equal(squares.compared(rows), plain.compared(rows))
-    assert squares.digest == plain.digest
-    scaled = replace(plain, losses=(None, RobustLoss("huber", 1.0)))
-    assert (
-        len({scaled.digest, replace(plain, losses=(None, RobustLoss("huber", 2.0))).digest, plain.digest})
-        == 3
-    )

@@ -74,7 +74,7 @@ def test_errors_of_the_user_come_through(executor: Executor):
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=3,
+        n_workers=2,
         threads_per_worker=1,
         processes=True,
         dashboard_address=":0",  # any free port: another test may have a cluster

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulation import InputError
-from simulation.units import Conversion, Unit, UnitDefinition, conversion, in_si
+from simulation.units import Conversion, Unit, UnitDefinition, conversion
 
 KELVIN = Unit.of({"K": 1}, 1.0, 0.0)
 
@@ -87,23 +87,3 @@ def test_an_fmu_whose_unit_is_not_what_its_name_says_is_not_believed():
     # Leaving out the angle is common and harmless.
     no_angle = {"rpm": UnitDefinition(base=Unit.of({"s": -1}, 0.10471975511965977, 0.0))}
     assert conversion("rpm", "rpm", "here", definitions=no_angle) == Conversion()
-
-
-@pytest.mark.parametrize(
-    ("unit", "name", "shown"),
-    [
-        ("K", "degC", (1.0, 273.15)),
-        ("W", "kW", (1e3, 0.0)),
-    ],
-)
-def test_a_display_unit_that_is_not_what_its_name_says_is_not_believed(
-    unit: str, name: str, shown: tuple[float, float]
-):
-    for base in (in_si(unit), None):
-        definitions = {unit: UnitDefinition(base=base, displayed={name: shown})}
-        with pytest.raises(
-            InputError, match=rf'here: the FMU defines "{name}", a display unit .*in "{unit}"'
-        ):
-            conversion(name, unit, "here", definitions=definitions)
-    # What a unit of the FMU's own means, is not known.
-    assert conversion("own", unit, "here", definitions={unit: UnitDefinition(displayed={"own": shown})})

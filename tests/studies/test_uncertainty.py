@@ -5,20 +5,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from toys_for_tests import ProductToy
 
 from simulation.counting import CountingModel
 from simulation.errors import InputError
-from simulation.forward_model import WrappedModel
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
-from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
+from studies.uncertainty.bands import bands_of, share_within
 from studies.uncertainty.findings import compensations, knowledge
 from studies.uncertainty.identifiability import difference_rows, judged
 from studies.uncertainty.noise import noise_of
@@ -136,45 +133,6 @@ def test_a_emulator_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     assert found.interval == pytest.approx(alone.interval, abs=0.06)
 
 
-@pytest.mark.parametrize("sigma", [1e-6, 1e-8, 1e-10])
-def test_a_emulator_may_leave_a_direction_open_beside_the_narrowest_one(sigma: float) -> None:
-    """A product of two parameters, a third one without effect: singular but for the box."""
-    model = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + 0.0 * theta[2])
-    problem, theta = posed(model, [1.5, 0.7, 1.2], sigma=sigma, uncertainty=sigma), np.array([1.5, 0.7, 1.2])
-    y = problem.model.simulate(theta[None]).y[0]
-    noise = noise_of("sensor", problem.measurement, y, 3)
-    found = assess(
-        problem, theta, y, noise=noise, known=None,
-        sampling=sampling_within(60, 3), seed=0, emulator=model,
-    )  # fmt: skip
-    u = found.sample.particles
-    assert found.by_equations
-    # Of the open parameter a twentieth lies beyond either end, as of an even density: few came so far.
-    assert found.interval[[0, 2], 2] == pytest.approx([0.05, 0.95], abs=0.1)
-    known = np.log(np.prod(problem.space.from_unit(u)[:, :2], axis=1) / (1.5 * 0.7))
-    # At 1e-10 the last digits of the sums count, which differ from machine to machine.
-    rel = 0.3 if sigma > 1e-10 else 0.5
-    assert np.std(known) == pytest.approx(sigma / np.sqrt(TIME @ TIME) / (1.5 * 0.7), rel=rel)
-
-
-def test_a_prior_enters_as_it_is():
-    """A linear model and a normal prior: the posterior is normal, its precision the sum of both."""
-    problem = posed(line(), [0.3, -0.4])
-    best, design = least_squares(problem)
-    width = np.array([np.inf, 0.005])
-    centre = np.array([np.nan, problem.space.to_unit(best)[1] + 0.01])
-    weight = SIGMA**2 / len(TIME)
-    problem = replace(problem, prior=Prior(centre, width, weight, len(TIME)))
-    found = assessed(problem, best, kind="sensor")
-    # The box is 4 wide: theta = 4 u - 2.
-    of_data, of_prior = 16.0 * design.T @ design / SIGMA**2, np.diag(width**-2.0)
-    covariance = np.linalg.inv(of_data + of_prior)
-    mean = problem.space.to_unit(best) + covariance @ of_prior @ np.array([0.0, 0.01])
-    u, deviation = found.sample.particles, np.sqrt(np.diag(covariance))
-    assert (u.mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
-    assert np.cov(u.T) == pytest.approx(covariance, rel=0.15)
-
-
 def test_a_product_is_known_and_its_factors_are_not():
     problem = posed(product(), [2.0, 0.7, 1.5], sigma=0.02, uncertainty=0.02)
     found = assessed(problem, [2.0, 0.7, 1.5], kind="sensor", max_calls=100)
@@ -219,7 +177,7 @@ def test_ninety_percent_intervals_hold_the_truth_nine_times_in_ten():
     assert held / n == pytest.approx(0.9, abs=0.05)
 
 
-@pytest.mark.parametrize(("rho", "n_fitted"), [(0.0, 14), (0.5, 14), (0.9, 7), (0.9, 14)])
+@pytest.mark.parametrize(("rho", "n_fitted"), [(0.0, 14), (0.9, 7)])
 def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
     m, rng = 481, np.random.default_rng(5)
     basis = np.cos(np.pi * np.outer(np.arange(n_fitted), np.arange(m) + 0.5) / m)
@@ -243,7 +201,7 @@ def test_a_perfect_fit_shows_no_noise():
     assert noise_of("sensor", problem.measurement, y, 2).deviation == SIGMA
 
 
-@pytest.mark.parametrize("rate", [0.0, 3.0, 30.0])
+@pytest.mark.parametrize("rate", [0.0, 30.0])
 def test_many_open_parameters_are_filled_evenly(rate):
     """exp(-rate sum u) of twelve parameters, which may lie at their bounds, beside two known sums."""
 
@@ -299,17 +257,6 @@ def test_the_predictive_band_holds_the_measured_values():
     assert share_within(measurement, bands.predictive, 0) == pytest.approx(0.9, abs=0.04)
 
 
-@pytest.mark.parametrize("kind", ["sensor", "white", "correlated"])
-def test_a_value_is_as_uncertain_as_its_sensor_however_often_it_is_read_and_weighted(kind):
-    rng = np.random.default_rng(3)
-    time, uncertainty = np.arange(2400.0), np.array([0.5, 100.0])
-    measured = uncertainty * rng.standard_normal((len(time), 2))
-    measured[rng.permutation(len(time))[60:], 1] = np.nan
-    measurement = Measurement.on_grid(time, measured, ("T", "Q"), uncertainty, np.array([1.0, 3.0]))
-    noise = noise_of(kind, measurement, np.zeros((len(time), 2)), 2)
-    assert noise_of_outputs(noise, measurement) == pytest.approx(uncertainty, rel=0.15)
-
-
 def test_too_few_calls_are_refused_in_one_line():
     with pytest.raises(InputError, match=r"--max-calls 20 does not hold 28 differences .* give 44 or more"):
         sampling_within(20, 14)
@@ -349,31 +296,19 @@ def test_where_simulations_fail_few_are_asked():
     assert failed.mean() < 0.6
 
 
-def test_a_narrow_valley_is_followed_to_its_ends():
-    """R and C of a decay that shows their product alone: R may be anywhere in its range."""
-    model, held = ProductToy(time=np.arange(0.0, 25 * 3600.0, 600.0)), []
-    for seed in (1, 2, 3, 4):
-        problem = posed(model, [1.0, 1e4], seed=seed)
-        rows = CountsRows(problem.model)
-        best = Adaptive(max_calls=100, misfit_threshold=(2.0 * SIGMA) ** 2).minimize(
-            problem.on(rows), seed=seed
-        )
-        known = problem.evaluate(problem.space.to_unit(np.concatenate(rows.asked)))
-        noise = noise_of("correlated", problem.measurement, best.y, 2)
-        sampling = sampling_within(100, 2)
-        found = assess(problem, best.theta, best.y, noise=noise, known=known, sampling=sampling, seed=seed)
-        held.append(np.ptp(found.interval[[0, 2], 0]))
-    # 0.9 of it, if every part is found; without asking farther 0.53 (seed by seed 0.38 to 0.88).
-    assert np.mean(held) > 0.7
-
-
-class CountsRows(WrappedModel):
-    """A model that notes what it is asked."""
-
-    def __init__(self, model):
-        super().__init__(model)
-        self.asked = []
-
-    def simulate(self, theta):
-        self.asked.append(theta)
-        return self._model.simulate(theta)
+def test_a_prior_enters_as_it_is():
+    """A linear model and a normal prior: the posterior is normal, its precision the sum of both."""
+    problem = posed(line(), [0.3, -0.4])
+    best, design = least_squares(problem)
+    width = np.array([np.inf, 0.005])
+    centre = np.array([np.nan, problem.space.to_unit(best)[1] + 0.01])
+    weight = SIGMA**2 / len(TIME)
+    problem = replace(problem, prior=Prior(centre, width, weight, len(TIME)))
+    found = assessed(problem, best, kind="sensor")
+    # The box is 4 wide: theta = 4 u - 2.
+    of_data, of_prior = 16.0 * design.T @ design / SIGMA**2, np.diag(width**-2.0)
+    covariance = np.linalg.inv(of_data + of_prior)
+    mean = problem.space.to_unit(best) + covariance @ of_prior @ np.array([0.0, 0.01])
+    u, deviation = found.sample.particles, np.sqrt(np.diag(covariance))
+    assert (u.mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
+    assert np.cov(u.T) == pytest.approx(covariance, rel=0.15)

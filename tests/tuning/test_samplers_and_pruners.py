@@ -78,9 +78,3 @@ def test_a_hopeless_trial_is_stopped_and_a_promising_one_is_not() -> None:
     assert is_stopped(KNOWN, {10: 8.1})
     assert not is_stopped(KNOWN, {10: 7.9})
     assert not is_stopped(KNOWN, {10: 1.9})
-
-
-def test_more_completed_trials_make_it_bolder() -> None:
-    assert not is_stopped(KNOWN, {10: 4.0})
-    assert is_stopped(KNOWN * 10, {10: 4.0})
-    assert is_stopped(KNOWN, {10: 2.1}, caution=0.0)

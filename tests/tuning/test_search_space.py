@@ -86,18 +86,6 @@ def test_the_default_lies_inside_the_usual_space(surrogate: str) -> None:
         assert value == getattr(base, name)  # inside from the start, so that nothing is clipped
 
 
-def test_the_default_of_a_narrow_space_is_its_nearest_point() -> None:
-    narrow = {
-        "n_latent": {"kind": "int", "low": 4, "high": 8},
-        "beta": {"kind": "float", "low": 200.0, "high": 300.0, "log": True},
-        "batch_size": {"kind": "int", "low": 10, "high": 290, "step": 20},
-        "activation": {"kind": "categorical", "choices": ["relu"]},
-        "patience": {"kind": "int", "low": 1, "high": 2, "when": {"activation": "silu"}},
-    }
-    point = default_point(space(narrow), VARIANTS["refined"])
-    assert point == {"n_latent": 8, "beta": 200.0, "batch_size": 70, "activation": "relu"}
-
-
 @pytest.mark.parametrize(
     ("declared", "message"),
     [
