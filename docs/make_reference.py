@@ -40,6 +40,7 @@ CASE_TABLES = {
     "A value of [fixed] with its unit": case_file.ValueWithUnit,
     "A measured value of [fixed]": case_file.FirstMeasured,
     "[simulation]": case_file.SimulationTable,
+    "[[experiments]]": case_file.ExperimentTable,
     "[[references]]": case_file.ReferenceTable,
 }
 PROFILE_TABLES = {

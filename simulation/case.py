@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,28 +10,39 @@ from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray, digest_of
+from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.case_parts import (
     check_inputs,
+    constraints,
     conversions,
     fixed_values,
     input_values,
+    ties,
     with_units,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
-from simulation.case_reading import read_case_file
-from simulation.errors import errors_at
+from simulation.case_reading import ReadExperiment, read_experiments
+from simulation.errors import InputError, errors_at
+from simulation.experiments import (
+    MARK,
+    Experiment,
+    ExperimentRows,
+    ExperimentsModel,
+    Layout,
+    joined_measurement,
+)
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.fmi.variable import Value
 from simulation.measurement import Measurement
-from simulation.parameters import ParameterSpace
+from simulation.parameters import Parameter, ParameterSpace
 from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
+from simulation.time_unit import DAY_S
 
-_CHOSEN = ("relative_tolerance", "accepted", "warmup_theta", "parameter_factors", "parameter_offsets")
+_CHOSEN = ("relative_tolerance", "accepted", "parameter_factors", "parameter_offsets")
 """Settings that decide what a model answers; None is as usual."""
 
 
@@ -92,7 +103,12 @@ class Case:
         references: Errors known for this window; they decide nothing.
         watched: Variables of the FMU that it answers beside the outputs, after them.
         validation: The same model compared over the validation period instead, None without one. Its
-            simulations start as the case's do and go on; nothing of it decides what is calibrated.
+            simulations start as the case's do and go on; nothing of it decides what is calibrated. Where
+            the case has experiments, those that are held out.
+        experiments: The experiments that this case joins, none where it is a single one. Fields that one
+            experiment alone can have are then the first one's.
+        layout: How their rows become one, None without experiments.
+        experiment: Name of the experiment that this case is of, "" where it is none of several.
     """
 
     name: str
@@ -113,6 +129,9 @@ class Case:
     references: tuple[KnownError, ...] = ()
     watched: tuple[str, ...] = ()
     validation: "Case | None" = None
+    experiments: "tuple[Case, ...]" = ()
+    layout: Layout | None = None
+    experiment: str = ""
 
     @property
     def interface(self) -> str:
@@ -130,6 +149,8 @@ class Case:
 
         What was simulated under one model digest holds for every case that has the same.
         """
+        if self.layout is not None:
+            return digest_of(self._joined("model_digest"))
         scenario = self.scenario
         grid = {"output_every": scenario.output_every, "n_warmup": scenario.n_warmup}
         return digest_of(_json(self._named | grid), scenario.time_communication, *scenario.driving)
@@ -138,14 +159,18 @@ class Case:
     def digest(self) -> str:
         """SHA-256 of all that decides what the model answers in its box: not of titles or estimates."""
         space, scenario = self.parameter_space, self.scenario
+        if self.layout is not None:
+            return digest_of(self._joined("digest"), space.lower, space.upper)
         steps_s = (self.communication_step_s, self.output_step_s)
-        named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s})
+        kept = {"constraints": space.constraints} if space.constraints else {}
+        named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s} | kept)
         return digest_of(named, space.lower, space.upper, scenario.time_communication, *scenario.driving)
 
     @property
     def _named(self) -> dict[str, Any]:
         """What decides answers and has a name; what the case leaves as usual is left out."""
         chosen = {name: getattr(self.settings, name) for name in _CHOSEN}
+        chosen |= {"ties": [(one.name, one.expression) for one in self.settings.ties] or None}
         chosen |= {"watched": list(self.watched) or None, "said_units": dict(self.said_units) or None}
         return {
             "fmu": self.fmu.sha256,
@@ -156,10 +181,30 @@ class Case:
             "outputs": [(output.name, output.unit) for output in self.outputs],
         } | {name: value for name, value in chosen.items() if value is not None}
 
+    def _joined(self, digest: str) -> str:
+        """Return what decides the answers of all experiments."""
+        assert self.layout is not None, "asked of a case with experiments"
+        parts = zip(self.layout.experiments, self.experiments, strict=True)
+        return _json(
+            {
+                "parameters": self.layout.parameter_names,
+                "constraints": self.parameter_space.constraints,
+                "experiments": [
+                    (one.name, one.parameters.tolist(), getattr(case, digest)) for one, case in parts
+                ],
+            }
+        )
+
     @property
-    def make_model(self) -> Callable[[], FmuModel]:
+    def experiment_rows(self) -> ExperimentRows:
+        """Rows of any experiment, for one pool of processes; of a case with experiments."""
+        assert self.layout is not None, "asked of a case with experiments"
+        return ExperimentRows(self.layout, tuple(case.settings for case in self.experiments))
+
+    @property
+    def make_model(self) -> Callable[[], FmuModel | ExperimentsModel]:
         """A picklable factory of the model, to hand to worker processes."""
-        return self.settings.open
+        return self.settings.open if self.layout is None else self.experiment_rows.open
 
     def open_model(self) -> FmuModel:
         """Open the model in this process.
@@ -167,7 +212,7 @@ class Case:
         Returns:
             The model; close it, or use it in a `with` block.
         """
-        return self.make_model()
+        return self.settings.open()
 
 
 def load_case(
@@ -192,7 +237,71 @@ def load_case(
     path = Path(path)
     if path.is_dir():
         path = path / "case.toml"
-    file = read_case_file(path)
+    read = read_experiments(path)
+    if len(read) == 1 and not read[0].name:
+        return _single(path, read[0].file, window_d, communication_step_s)
+    cases = {}
+    for one in read:
+        with errors_at(f"{path}: experiments[{one.name}]"):
+            if one.file.time.validation is not None:
+                raise InputError("a validation period beside [[experiments]]; hold an experiment out instead")
+            single = _single(path, one.file, None, communication_step_s)
+            cases[one.name] = replace(single, experiment=one.name)
+    with errors_at(path):
+        case = _of_experiments(cases, read)
+        if window_d is not None and window_d != case.window_d:
+            raise InputError("its experiments have windows of their own; change these in the case file")
+    return case
+
+
+def named_experiments(case: Case) -> Iterator[tuple[str, Case]]:
+    """Yield name and case of each experiment, those that are held out as well; none of a single one."""
+    for joined in filter(None, (case, case.validation)):
+        if joined.layout is not None:
+            yield from zip((one.name for one in joined.layout.experiments), joined.experiments, strict=True)
+
+
+def of_experiment(case: Case, name: str | None, *, needed_for: str) -> tuple[Case, IntArray]:
+    """Return the case of one experiment, and its parameters among those of all.
+
+    Args:
+        case: The case, with experiments or without.
+        name: Name of the experiment; None where there is none to choose.
+        needed_for: What asks, for messages.
+
+    Raises:
+        InputError: If the name is missing, or of no experiment.
+    """
+    joined = [one for one in (case, case.validation) if one is not None and one.layout is not None]
+    if not joined:
+        if name is not None:
+            raise InputError(f"--experiment {name}: {case.path} has no [[experiments]]; leave it away")
+        return case, np.arange(case.parameter_space.n_parameters)
+    known = dict[str | None, tuple[Case, IntArray]]()
+    for one in joined:
+        assert one.layout is not None, "of those with one"
+        parts = zip(one.layout.experiments, one.experiments, strict=True)
+        known |= {part.name: (member, part.parameters) for part, member in parts}
+    if name not in known:
+        wrong = (
+            f"--experiment {name}: no experiment of {case.path}"
+            if name
+            else f"{needed_for} needs --experiment"
+        )
+        raise InputError(f"{wrong}; name one of: {', '.join(map(str, known))}")
+    return known[name]
+
+
+def with_step(case: Case, step_s: float) -> Case:
+    """Return the case of a single experiment with another communication step. [s]."""
+    whole = load_case(case.path, None if case.experiment else case.window_d, communication_step_s=step_s)
+    return next((one for name, one in named_experiments(whole) if name == case.experiment), whole)
+
+
+def _single(
+    path: Path, file: CaseFile, window_d: tuple[float, float] | None, communication_step_s: float | None
+) -> Case:
+    """Build the case of one experiment."""
     fmu = read_description(Path(os.path.realpath(path.parent / file.fmu)))
     fmu.interface(file.interface, str(path))
     recordings = read_recordings(path, file)
@@ -211,6 +320,88 @@ def load_case(
     return case
 
 
+def _of_experiments(cases: Mapping[str, Case], read: Sequence[ReadExperiment]) -> Case:
+    """Join the cases of experiments; those that are held out validate the others."""
+    calibrated = [one for one in read if not one.is_held_out]
+    parameters, columns = list[Parameter](), dict[tuple[str, str], int]()
+    for table in dict.fromkeys(name for one in read for name in cases[one.name].parameter_space.names):
+        having = [one for one in read if table in cases[one.name].parameter_space.names]
+        own = next(t for t in having[0].file.parameters if t.name == table).per_experiment
+        if not own:
+            parameters.append(_parameter(cases[having[0].name], table))
+            columns |= {(one.name, table): len(parameters) - 1 for one in having}
+            continue
+        for one in having:
+            if one.is_held_out:
+                raise InputError(
+                    f"parameters[{table}] has a value of its own in each experiment, and {one.name} is held "
+                    f"out; give it one there: fixed = {{ {table} = ... }}"
+                )
+            parameter = _parameter(cases[one.name], table)
+            parameters.append(replace(parameter, name=f"{table}{MARK}{one.name}"))
+            columns[one.name, table] = len(parameters) - 1
+    pairs = dict.fromkeys(
+        (parameters[columns[one.name, small]].name, parameters[columns[one.name, large]].name)
+        for one in read
+        for small, large in cases[one.name].parameter_space.constraints
+    )
+    space = ParameterSpace(tuple(parameters), tuple(pairs))
+    case = _joined(space, cases, calibrated, columns)
+    held_out = [one for one in read if one.is_held_out]
+    return replace(case, validation=_joined(space, cases, held_out, columns)) if held_out else case
+
+
+def _parameter(case: Case, name: str) -> Parameter:
+    return case.parameter_space.parameters[case.parameter_space.names.index(name)]
+
+
+def _joined(
+    space: ParameterSpace,
+    cases: Mapping[str, Case],
+    read: Sequence[ReadExperiment],
+    columns: Mapping[tuple[str, str], int],
+) -> Case:
+    """Join the cases of some experiments.
+
+    Args:
+        space: Parameters of all experiments.
+        cases: The experiments' own cases by name.
+        read: Which of them.
+        columns: Place of every parameter among those of all, by experiment and name.
+    """
+    members = [cases[one.name] for one in read]
+    first, steps_s = members[0], {one.output_step_s for one in members}
+    if len(steps_s) > 1:
+        steps = ", ".join(f"{step:g}" for step in sorted(steps_s))
+        raise InputError(f"experiments have output steps of {steps} s; give all the same output_step_s")
+    longest = max((one.measurement.time for one in members), key=len)
+    experiments, n_before = list[Experiment](), 0
+    for one, case in zip(read, members, strict=True):
+        names, n_outputs = case.parameter_space.names, len(case.outputs)
+        where = np.array([columns[one.name, name] for name in names], dtype=np.int64)
+        places = np.arange(n_before, n_before + n_outputs)
+        experiments.append(Experiment(one.name, where, places, len(case.measurement.time)))
+        n_before += n_outputs
+    outputs = tuple(
+        replace(output, name=f"{output.name}{MARK}{one.name}")
+        for one, case in zip(read, members, strict=True)
+        for output in case.outputs
+    )
+    layout = Layout(space.names, tuple(one.name for one in outputs), longest - longest[0], tuple(experiments))
+    weights = [one.weight for one in read]
+    return replace(
+        first,
+        parameter_space=space,
+        measurement=joined_measurement(layout, [one.measurement for one in members], weights),
+        outputs=outputs,
+        window_d=(0.0, float(layout.time[-1]) / DAY_S),
+        references=(),
+        experiments=tuple(members),
+        layout=layout,
+        experiment="",
+    )
+
+
 def _said_units(file: CaseFile) -> dict[str, str]:
     tables: list[InputTable | OutputTable] = [*file.inputs, *file.outputs]
     return {one.name: one.fmu_unit for one in tables if one.fmu_unit is not None}
@@ -218,7 +409,7 @@ def _said_units(file: CaseFile) -> dict[str, str]:
 
 def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, period: Period) -> Case:
     """Build the case whose measurement is that of a period."""
-    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters))
+    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters), constraints(file))
     parameters = conversions(fmu, "parameter", file.parameters)
     inputs = conversions(fmu, "input", file.inputs)
     check_inputs(file, fmu)
@@ -245,10 +436,10 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         interface=file.interface,
         relative_tolerance=file.relative_tolerance,
         accepted=np.array(bands) if any(table.accepted for table in file.outputs) else None,
-        warmup_theta=space.expected if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),
         parameter_offsets=_unless(0.0, [one.offset for one in parameters]),
+        ties=ties(file, fmu),
     )
     return Case(
         name=file.name,

@@ -100,7 +100,6 @@ class TimeTable(_WindowTable):
         validation_d: begin and end of a part that is not calibrated, to try the result on.
         validation_s: the same in seconds.
         zero: the timestamp of time 0, for recordings with timestamps.
-        shared_warmup: whether the warm-up is simulated once, with the estimates.
         communication_step_s: step of a co-simulation, over which its inputs are held.
         output_step_s: step of the outputs, a multiple of the communication step.
     """
@@ -110,7 +109,6 @@ class TimeTable(_WindowTable):
     validation_d: Pair | None = None
     validation_s: Pair | None = None
     zero: Annotated[Name, BeforeValidator(_as_text)] | None = None
-    shared_warmup: bool = False
     communication_step_s: Positive
     output_step_s: Positive
 
@@ -244,13 +242,14 @@ class ParameterTable(Table):
 
     Attributes:
         name: the parameter of the FMU, or an input that is an unknown constant.
-        estimate: a usual value, for shared warm-ups, priors and fixed parameters. [unit]
+        estimate: a usual value, for priors and fixed parameters. [unit]
         lower: lower bound. [unit]
         upper: upper bound. [unit]
         unit: unit of its values.
         scale: whether it is searched in its value or in the logarithm of it.
         description: what it means, for the reader.
         prior: what is known beforehand.
+        per_experiment: whether each experiment has a value of its own.
     """
 
     name: Name
@@ -261,6 +260,7 @@ class ParameterTable(Table):
     scale: Scale = "linear"
     description: str = ""
     prior: PriorTable | None = None
+    per_experiment: bool = False
 
     @model_validator(mode="after")
     def _prior_fits(self) -> Self:
@@ -290,7 +290,7 @@ class ParameterTable(Table):
                 value for value in (self.prior.within, self.prior.within_factor) if value is not None
             )
             belief = Belief(centre, width)
-        return Parameter(**self.model_dump(exclude={"prior"}), prior=belief)
+        return Parameter(**self.model_dump(exclude={"prior", "per_experiment"}), prior=belief)
 
 
 class FirstMeasured(Table):
@@ -351,6 +351,36 @@ class ReferenceTable(_WindowTable):
     target: bool = False
 
 
+class ExperimentTable(Table):
+    """Key [[experiments]]: one of several recordings that the same parameters explain.
+
+    What it does not say is as in the rest of the file.
+
+    Attributes:
+        name: name of the experiment; its outputs and own parameters are called `<name>@<experiment>`.
+        held_out: whether it is not calibrated, to try the result on.
+        weight: share of its outputs' error relative to the other experiments'. [1]
+        fmu: another FMU with the same parameters, from the folder of the case file.
+        interface: how that FMU is run.
+        data: another folder of recordings, from the folder of the case file.
+        time: keys of [time] that differ.
+        inputs: keys of [[inputs]] that differ, by `name`.
+        outputs: the outputs of this experiment, and what differs of their keys; without it, all.
+        fixed: values of [fixed] that differ.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+    held_out: bool = False
+    weight: Positive = 1.0
+    fmu: Name | None = None
+    interface: Literal["co-simulation", "model-exchange"] | None = None
+    data: Line | None = None
+    time: dict[str, Any] = Field(default_factory=dict)
+    inputs: list[dict[str, Any]] = Field(default_factory=list)
+    outputs: list[dict[str, Any]] = Field(default_factory=list)
+    fixed: dict[str, FixedValue] = Field(default_factory=dict)
+
+
 class CaseFile(Table):
     """A whole case.toml.
 
@@ -372,8 +402,11 @@ class CaseFile(Table):
         outputs: outputs that are compared with measurements.
         parameters: parameters that are calibrated.
         fixed: values of other parameters, inputs and initial states, by name.
+        tied: parameters that follow from others, by name: `R2 = "3 * R1"`, in SI units.
+        constraints: pairs of calibrated parameters, as "R1 < R2"; every simulation keeps them.
         simulation: time-out and retries.
         references: known errors.
+        experiments: several recordings instead of one.
     """
 
     # Later schemas must say so, else an old program would read a new file wrongly.
@@ -393,8 +426,11 @@ class CaseFile(Table):
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
     fixed: dict[str, FixedValue] = Field(default_factory=dict)
+    tied: dict[str, Line] = Field(default_factory=dict)
+    constraints: list[Line] = Field(default_factory=list)
     simulation: SimulationTable = SimulationTable()
     references: list[ReferenceTable] = Field(default_factory=list)
+    experiments: list[ExperimentTable] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
@@ -408,4 +444,8 @@ class CaseFile(Table):
         for name in self.fixed:
             if f"parameters[{name}]" in parameters:
                 raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")
+        for name in self.tied:
+            if name in self.fixed or f"parameters[{name}]" in parameters:
+                also = "[fixed]" if name in self.fixed else "[[parameters]]"
+                raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self

@@ -18,8 +18,9 @@ from simulation.case_file import (
 from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
-from simulation.foreign_text import shortened
+from simulation.foreign_text import quoted, shortened
 from simulation.scenario import values_at_edges, values_over_steps
+from simulation.ties import Tie, tie
 from simulation.units import Conversion, conversion
 
 
@@ -82,7 +83,7 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
             raise InputError(f"inputs[{name}] is also under [[parameters]]; drop one of the two")
     for name in fmu.names("input"):
         # An input that nothing can set must not stop the others; `studies check` reports it.
-        has_source = name in driven or name in file.fixed or name in calibrated
+        has_source = name in (*driven, *file.fixed, *calibrated, *file.tied)
         if not has_source and not fmu.variables[name].is_out_of_reach:
             raise InputError(
                 f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its start; "
@@ -125,6 +126,50 @@ def input_values(
                 one[:, k] = change.factor * one[:, k] + change.offset
             variable.check_series(inputs[:, k], edges, " + ".join(table.weights))
     return inputs, at_edges if is_seen else None
+
+
+def ties(file: CaseFile, fmu: FmuDescription) -> tuple[Tie, ...]:
+    """Return the parameters that follow from others.
+
+    Raises:
+        InputError: If the FMU has no such parameter, or an expression is wrong.
+    """
+    known = {table.name for table in file.parameters}
+    for name in file.fixed:
+        if fmu.find(name, "parameter", f"fixed.{name}", may_be_input=True).kind in REAL_KINDS:
+            known.add(name)
+    for name in file.tied:
+        fmu.require(name, "parameter", f"tied.{name}", may_be_input=True)
+    return tuple(tie(name, expression, known, fmu) for name, expression in file.tied.items())
+
+
+def constraints(file: CaseFile) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of parameters of which the first one stays at or below the second one.
+
+    Raises:
+        InputError: If one is no pair, has other names, or meets a prior or an estimate that it contradicts.
+    """
+    tables, pairs = {table.name: table for table in file.parameters}, []
+    for text in file.constraints:
+        where, parts = f"constraints: {quoted(text)}", [part.strip() for part in text.split("<")]
+        if len(parts) != 2 or "" in parts or parts[0] == parts[1]:
+            raise InputError(f'{where} is no pair; write "R1 < R2" with two parameters')
+        for name in parts:
+            if name not in tables:
+                raise InputError(
+                    f"{where}: {shortened(name)} is not calibrated; narrow the other one's bounds"
+                )
+            if tables[name].prior is not None:
+                raise InputError(
+                    f"{where}: {name} has a prior, which is of single parameters; drop one of the two"
+                )
+        small, large = (tables[name] for name in parts)
+        if small.unit != large.unit:
+            raise InputError(f"{where}: units are {small.unit} and {large.unit}; declare both in one unit")
+        if small.estimate is not None and large.estimate is not None and small.estimate > large.estimate:
+            raise InputError(f"{where}: the estimates break it; correct them")
+        pairs.append((small.name, large.name))
+    return tuple(pairs)
 
 
 def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float) -> dict[str, Value]:

@@ -54,11 +54,6 @@ def plain_period(file: CaseFile, chosen_d: tuple[float, float] | None) -> Period
             f"time.start_{unit.symbol} = {unit.of_days(start_d):g} does not lie between "
             f"{unit.moment(0.0)} and the window's start, {unit.of_days(begin_d):g}; correct it"
         )
-    if file.time.shared_warmup and start_d == begin_d:
-        raise InputError(
-            f"time.shared_warmup = true, but the simulation starts with the window, "
-            f"{unit.moment(begin_d)}; set an earlier start_{unit.symbol}, or drop shared_warmup"
-        )
     _check_n_steps(file, start_d, end_d)
     said = _as_key("window", window, unit) if chosen_d is None else unit.period(window)
     return Period(said, start_d, window, window)
@@ -89,8 +84,6 @@ def validation_period(file: CaseFile, plain: Period, *, may_be_left_out: bool) -
             f"begins before the simulation, {unit.moment(start_d)}; choose a later part or an earlier "
             f"start_{unit.symbol}"
         )
-    elif begin_d < window_d[0] and file.time.shared_warmup:
-        wrong = "lies in the warm-up, which is shared; choose a part after the window or drop shared_warmup"
     if wrong and may_be_left_out:
         return None
     if wrong:

@@ -1,14 +1,40 @@
 """Reading a case file, and what to say of one that is wrong: one line with key, value and remedy."""
 
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from simulation.case_file import CaseFile, FirstMeasured, ValueWithUnit
+from simulation.case_file import CaseFile, ExperimentTable, FirstMeasured, ValueWithUnit
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
+
+
+@dataclass(frozen=True)
+class ReadExperiment:
+    """One experiment of a case file.
+
+    Attributes:
+        name: Its name, "" where the file has no [[experiments]].
+        file: The case file as if it were of this experiment alone.
+        is_held_out: Whether it is not calibrated.
+        weight: Share of its outputs' error relative to the other experiments'. [1]
+    """
+
+    name: str
+    file: CaseFile
+    is_held_out: bool = False
+    weight: float = 1.0
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+class _Experiments(BaseModel):
+    experiments: list[ExperimentTable]
 
 
 def read_case_file(path: Path) -> CaseFile:
@@ -18,17 +44,80 @@ def read_case_file(path: Path) -> CaseFile:
         path: The case.toml.
 
     Returns:
-        Its content.
+        Its content; where it has experiments, as if it were of the first one alone.
+
+    Raises:
+        InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
+    """
+    return read_experiments(path)[0].file
+
+
+def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
+    """Read and validate a case file of one or several experiments.
+
+    Args:
+        path: The case.toml.
 
     Raises:
         InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
     """
     text = read_text(path, CASE, if_missing="a case is a folder with a case.toml")
     content = parse_toml(text, str(path))
+    if "experiments" not in content:
+        file = _validated(CaseFile, content, str(path))
+        for one in file.parameters:
+            if one.per_experiment:
+                raise InputError(
+                    f"{path}: parameters[{one.name}].per_experiment needs [[experiments]]; drop it"
+                )
+        return (ReadExperiment("", file),)
+    tables = _validated(_Experiments, {"experiments": content["experiments"]}, str(path)).experiments
+    for name, n in Counter(table.name for table in tables).items():
+        if n > 1:
+            raise InputError(f"{path}: experiments[{name}] is declared {n} times; keep one")
+    if all(table.held_out for table in tables):
+        raise InputError(f"{path}: no experiment is left to calibrate; drop held_out from one, or add one")
+    return tuple(
+        ReadExperiment(
+            table.name,
+            _validated(CaseFile, _with_experiment(content, table), f"{path}: experiments[{table.name}]"),
+            table.held_out,
+            table.weight,
+        )
+        for table in tables
+    )
+
+
+def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[str, Any]:
+    """Return the content of a case file as if it were of one experiment alone."""
+    whole = {key: value for key, value in content.items() if key != "experiments"}
+    said = table.model_dump(exclude_unset=True, exclude={"name", "held_out", "weight"})
+    for key in ("inputs", "outputs"):
+        usual = {one.get("name"): one for one in whole.get(key, []) if isinstance(one, dict)}
+        own = [{**usual.get(one.get("name"), {}), **one} for one in said.pop(key, [])]
+        # Inputs all need a source; outputs are what this experiment measured.
+        kept = [*usual.values()] if key == "inputs" or not own else []
+        named = {one.get("name"): one for one in own}
+        whole[key] = [one for one in kept if one["name"] not in named] + own
+    time = dict(whole.get("time", {}))
+    if said.get("time", {}).keys() & {"window_d", "window_s"}:
+        time = {name: value for name, value in time.items() if not name.startswith("window_")}
+    whole["time"] = time | said.pop("time", {})
+    whole["fixed"] = whole.get("fixed", {}) | said.pop("fixed", {})
+    # What an experiment knows is no parameter of it.
+    whole["parameters"] = [
+        one
+        for one in whole.get("parameters", [])
+        if not isinstance(one, dict) or one.get("name") not in table.fixed
+    ]
+    return whole | said
+
+
+def _validated(kind: type[M], content: dict[str, Any], where: str) -> M:
     try:
-        return CaseFile.model_validate(content)
+        return kind.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{path}: {_in_one_line(error, content)}") from None
+        raise InputError(f"{where}: {_in_one_line(error, content)}") from None
 
 
 def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:

@@ -5,7 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
+
+_MOST_DRAWN = 1_000_000
 
 
 def uniform_design(space: ParameterSpace, n: int, seed: int) -> FloatArray:
@@ -42,6 +45,15 @@ def spread_design(
     chosen = space.names if columns is None else tuple(columns)
     shrink = np.where(np.isin(space.names, chosen), spread, 1.0)
     middle, reach = (space.lower + space.upper) / 2, (space.upper - space.lower) / 2
-    # Generator.random fills row by row, so a longer draw begins with the shorter one.
-    draw = 2.0 * np.random.default_rng(seed).random((n, space.n_parameters)) - 1.0
-    return np.asarray(np.clip(middle + shrink * reach * draw, space.lower, space.upper), dtype=np.float64)
+    rng, kept = np.random.default_rng(seed), list[FloatArray]()
+    n_drawn, n_kept = 0, 0
+    while n_kept < n:
+        # Generator.random fills row by row, so a longer draw begins with the shorter one.
+        draw = 2.0 * rng.random((n, space.n_parameters)) - 1.0
+        theta = np.clip(middle + shrink * reach * draw, space.lower, space.upper)
+        # Rows that break a constraint are left out, which leaves the others uniform.
+        kept.append(theta[space.contains(theta)])
+        n_drawn, n_kept = n_drawn + n, n_kept + len(kept[-1])
+        if n_drawn > _MOST_DRAWN and n_kept < n:
+            raise InputError(f"of {n_drawn:,} random rows, {n_kept} keep the constraints; narrow the bounds")
+    return np.asarray(np.concatenate(kept)[:n], dtype=np.float64)

@@ -9,7 +9,7 @@ from simulation.case import Case
 from simulation.case_data import CaseData
 from simulation.case_parts import conversions, input_values
 from simulation.case_periods import MOST_STEPS
-from simulation.case_reading import read_case_file
+from simulation.case_reading import read_experiments
 from simulation.errors import InputError
 from simulation.fmi.fmu import FmuSettings
 from simulation.recording import read_recording
@@ -31,7 +31,7 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
     Raises:
         InputError: The case has no inputs, a column is missing, has gaps, or is shorter than an output step.
     """
-    file = read_case_file(case.path)
+    file = next(one.file for one in read_experiments(case.path) if one.name == case.experiment)
     if not file.inputs:
         raise InputError(
             f"{case.path}: the model has no [[inputs]]; there is nothing that {recording} drives"
@@ -63,4 +63,4 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
     changes = conversions(case.fmu, "input", file.inputs)
     inputs, at_edges = input_values(file, case.fmu, data, changes, edges)
     scenario = Scenario(edges, inputs, case.scenario.input_names, every, inputs_at_edges=at_edges)
-    return replace(case.settings, scenario=scenario, warmup_theta=None)
+    return replace(case.settings, scenario=scenario)

@@ -92,9 +92,19 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """The box of all parameters of a case, in a fixed order."""
+    """The box of all parameters of a case, in a fixed order.
+
+    With constraints it is the part of the box that keeps them. The unit cube is then mapped onto that part,
+    so that whatever moves in the cube keeps them: the larger one of a pair has its cube's edge between the
+    smaller one and its upper bound.
+
+    Attributes:
+        parameters: The parameters.
+        constraints: Pairs of names: the first one's value stays at or below the second one's.
+    """
 
     parameters: tuple[Parameter, ...]
+    constraints: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parameters:
@@ -107,7 +117,13 @@ class ParameterSpace:
     def expected(self) -> FloatArray:
         """Estimates, and the middle of the box where there is none. Shape (p,). [per parameter]."""
         estimates = np.array([one.estimate for one in self.parameters], dtype=np.float64)  # NaN for None
-        return np.where(np.isnan(estimates), self.from_unit(np.full(self.n_parameters, 0.5)), estimates)
+        theta = np.where(np.isnan(estimates), self.from_unit(np.full(self.n_parameters, 0.5)), estimates)
+        for small, large in self._pairs:
+            if np.isnan(estimates[large]):
+                theta[large] = max(theta[large], theta[small])
+            elif np.isnan(estimates[small]):
+                theta[small] = min(theta[small], theta[large])
+        return theta
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -138,7 +154,47 @@ class ParameterSpace:
 
     def without(self, names: Collection[str]) -> "ParameterSpace":
         """Return the box of the parameters that are not named."""
-        return ParameterSpace(tuple(one for one in self.parameters if one.name not in names))
+        kept = tuple(pair for pair in self.constraints if not set(pair) & set(names))
+        return ParameterSpace(tuple(one for one in self.parameters if one.name not in names), kept)
+
+    @cached_property
+    def _pairs(self) -> tuple[tuple[int, int], ...]:
+        """Columns of the constraints, so ordered that each smaller one is known before its larger one."""
+        left = [(self.names.index(small), self.names.index(large)) for small, large in self.constraints]
+        pairs = list[tuple[int, int]]()
+        while left:
+            larger = {large for _, large in left}
+            ready = [pair for pair in left if pair[0] not in larger]
+            if not ready:
+                raise InputError(f"constraint {self._said(left[0])} contradicts others; drop one")
+            pairs += ready
+            left = [pair for pair in left if pair not in ready]
+        return tuple(pairs)
+
+    @cached_property
+    def _reachable(self) -> FloatArray:
+        """Lower and upper bounds that constraints leave. Shape (2, p). [per parameter]."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for small, large in self._pairs:
+            lower[large] = max(lower[large], lower[small])
+        for small, large in self._pairs[::-1]:
+            upper[small] = min(upper[small], upper[large])
+        for pair in self._pairs:
+            if any(lower[one] >= upper[one] for one in pair):
+                raise InputError(
+                    f"constraint {self._said(pair)}: no values within the bounds keep it; widen them"
+                )
+        return np.stack([lower, upper])
+
+    def _said(self, pair: tuple[int, int]) -> str:
+        return f'"{self.names[pair[0]]} < {self.names[pair[1]]}"'
+
+    def _bounds(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the ends of the cube's edges at parameters that keep the constraints. Shape as theta."""
+        lower, upper = (np.broadcast_to(one, theta.shape).copy() for one in self._reachable)
+        for small, large in self._pairs:
+            lower[..., large] = np.maximum(lower[..., large], theta[..., small])
+        return lower, upper
 
     def to_unit(self, theta: FloatArray) -> FloatArray:
         """Map parameters to the unit cube, even in each parameter's own coordinates.
@@ -150,9 +206,13 @@ class ParameterSpace:
             Unit-cube coordinates, exactly 0 and 1 at the bounds. Shape as theta. [1]
         """
         theta = self._checked(theta)
-        lower, upper = self._coordinates(self.lower), self._coordinates(self.upper)
+        ends = (self.lower, self.upper) if not self.constraints else self._bounds(theta)
+        lower, upper = (self._coordinates(one) for one in ends)
         with np.errstate(invalid="ignore", divide="ignore"):
             u: FloatArray = (self._coordinates(theta) - lower) / (upper - lower)
+        if self.constraints:
+            # Where the smaller one is at the upper bound of the larger one, the edge has no length.
+            u = np.where((upper == lower) & np.isfinite(theta), 1.0, u)
         return u
 
     def from_unit(self, u: FloatArray) -> FloatArray:
@@ -165,13 +225,37 @@ class ParameterSpace:
             Parameters, exactly on the bounds at 0 and 1. Shape as u. [per parameter]
         """
         u = self._checked(u)
-        lower, upper = self._coordinates(self.lower), self._coordinates(self.upper)
-        inside = lower + u * (upper - lower)
+        if not self.constraints:
+            return self._inside(u, self.lower, self.upper)
+        lower, upper = self._reachable
+        theta = self._inside(u, lower, upper)
+        for _, large in self._pairs:
+            # All smaller ones of this one are known by now.
+            bounds = self._bounds(theta)
+            theta[..., large] = self._inside(u, *bounds)[..., large]
+        return theta
+
+    def _inside(self, u: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+        """Map coordinates to parameters between bounds of shape (p,) or that of u."""
+        low, high = self._coordinates(lower), self._coordinates(upper)
+        inside = low + u * (high - low)
         theta = np.where(self.is_log, np.exp(np.where(self.is_log, inside, 0.0)), inside)
-        theta = np.where(u <= 0.0, self.lower, np.where(u >= 1.0, self.upper, theta))
+        theta = np.where(u <= 0.0, lower, np.where(u >= 1.0, upper, theta))
         # NaN coordinates stay NaN through the clip: a failed row of the model, not a corner of the box.
-        clipped: FloatArray = np.clip(theta, self.lower, self.upper)
+        clipped: FloatArray = np.clip(theta, lower, upper)
         return clipped
+
+    def ends(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far each parameter can be moved while the others stay. Shape (p,) each. [per parameter].
+
+        Args:
+            theta: Where they stay. Shape (p,). [per parameter]
+        """
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for small, large in self._pairs:
+            lower[large] = max(lower[large], theta[small])
+            upper[small] = min(upper[small], theta[large])
+        return lower, upper
 
     def contains(self, theta: FloatArray) -> BoolArray:
         """Return which rows lie inside the bounds (bounds included, NaN outside).
@@ -184,6 +268,8 @@ class ParameterSpace:
         """
         theta = self._checked(theta)
         inside: BoolArray = np.all((theta >= self.lower) & (theta <= self.upper), axis=-1)
+        for small, large in self._pairs:
+            inside = inside & (theta[..., small] <= theta[..., large])
         return inside
 
     def _coordinates(self, theta: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Rows in different circumstances: other inputs, another step, as the first of a process."""
+"""A row in different circumstances: with other inputs, with another step, as the first of a process."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -7,12 +7,8 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.fmu import FmuSettings
-from simulation.fmi.runner import NeedsFreshProcess
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-
-WAYS = ("undecided", "reset", "state", "new instance", "new process")
-"""How rows may be started over, by the number that RestartModel answers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,32 +66,3 @@ class CircumstanceModel:
         with self.settings[number].open() as model:
             answer = model.simulate(self.row[None])
         return answer.y, answer.failures[0]
-
-
-@dataclass(frozen=True, eq=False)
-class RestartModel(CircumstanceModel):
-    """The answer to a row that is a process's first one, and how the process starts rows over after it.
-
-    Beside the outputs it answers the number of the way in WAYS as one more.
-
-    Attributes:
-        other: A row that is asked after it, and before it is asked again. Shape (p,). [per parameter]
-    """
-
-    other: FloatArray
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The outputs, and the way."""
-        return (*super().output_names, "way")
-
-    def _asked(self, number: int) -> tuple[FloatArray, str]:
-        with self.settings[number].open() as model:
-            first = model.simulate(self.row[None])
-            try:
-                model.simulate(np.stack([self.other, self.row]))
-                way = model.way
-            except NeedsFreshProcess:
-                way = "new process"
-        ways = np.full((1, len(self.time), 1), float(WAYS.index(way)))
-        return np.concatenate([first.y, ways], axis=2), first.failures[0]

@@ -5,12 +5,15 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from simulation.case import Case
+from simulation.experiments import JoinedModel
 from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.pool_model import PoolModel
+from simulation.store.joined_store import JoinedStore, StoredExperiments
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from studies.calibration.states import StateSignals, watching_states
+from studies.calibration.experiments_ode import watched_model
+from studies.calibration.states import watching_states
 from studies.paths import ProjectPaths
 from studies.stages.pipeline import StageError, Study
 from studies.watched_model import StoredWatchedModel
@@ -18,7 +21,8 @@ from studies.watched_model import StoredWatchedModel
 
 def store_file(paths: ProjectPaths, case: Case) -> Path:
     """Return the file of a case's simulations; cases that simulate the same share it."""
-    return paths.generated(case.name) / "simulations" / f"{case.model_digest[:16]}.db"
+    kind = "db" if case.layout is None else "json"
+    return paths.generated(case.name) / "simulations" / f"{case.model_digest[:16]}.{kind}"
 
 
 @contextmanager
@@ -39,20 +43,31 @@ def open_physical_model(
         StageError: too many simulations fail; those that are finished are kept.
     """
     case = case or study.case
-    with (
-        SimulationStore(
-            store_file(study.paths, case),
-            model_digest=case.model_digest,
-            parameter_names=case.parameter_space.names,
-            output_names=case.settings.output_names,
-            time=case.scenario.time,
-        ) as store,
-        _supervised(study, case, policy or case.policy) as model,
-    ):
+    with ExitStack() as opened:
+        parts = case.experiments or (case,)
+        stores = [opened.enter_context(_store(study, one)) for one in parts]
+        model = opened.enter_context(_supervised(study, case, policy or case.policy))
+        stored = StoredModel(model, stores[0], retry_failed=study.retry_failed)
+        if case.layout is not None:
+            store = JoinedStore(store_file(study.paths, case), stores, case.layout)
+            store.save()
+            joined = JoinedModel(model, case.experiment_rows, case.parameter_space)
+            stored = StoredExperiments(joined, store, retry_failed=study.retry_failed)
         try:
-            yield StoredModel(model, store, retry_failed=study.retry_failed)
+            yield stored
         except TooManyFailuresError as stopped:
             raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+
+
+def _store(study: Study, case: Case) -> SimulationStore:
+    """Open the store of a single experiment."""
+    return SimulationStore(
+        store_file(study.paths, case),
+        model_digest=case.model_digest,
+        parameter_names=case.parameter_space.names,
+        output_names=case.settings.output_names,
+        time=case.scenario.time,
+    )
 
 
 @contextmanager
@@ -73,8 +88,8 @@ def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator[StoredWatc
         open_physical_model(study) as plain,
         open_physical_model(study, case=watching_states(study.case)) as watched,
     ):
-        signals = StateSignals.of(study.case)
-        yield StoredWatchedModel(plain, watched, signals, n_first=n_first)
+        watching = watched_model(study.case, watched)
+        yield StoredWatchedModel(plain, watched, watching, n_first=n_first)
 
 
 def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:

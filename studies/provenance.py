@@ -86,13 +86,13 @@ def provenance_of(study: "Study", kind: str, **more: Any) -> dict[str, Any]:
         kind: what the result is.
         more: what this kind needs beyond case and profile.
     """
-    from simulation.case_reading import read_case_file
+    from simulation.case_reading import read_experiments
 
     case = study.case
-    declared, folder = read_case_file(case.path), case.path.parent
-    names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
-    data = (folder / declared.data / name for name in names)
-    files = dict.fromkeys([case.path, folder / declared.fmu, *data])
+    folder, files = case.path.parent, {case.path: None}
+    for declared in (one.file for one in read_experiments(case.path)):
+        names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
+        files |= dict.fromkeys([folder / declared.fmu, *(folder / declared.data / name for name in names)])
     made = Provenance(
         schema=SCHEMA,
         kind=kind,

@@ -11,7 +11,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.store.store import SimulationStore
+from simulation.store.joined_store import store_at
 from simulation.trajectories import Trajectories
 from simulation.whole_file import whole_file
 
@@ -65,7 +65,7 @@ class RowSet:
         Raises:
             InputError: If the store does not hold them any more.
         """
-        with SimulationStore.at(self.store) as store:
+        with store_at(self.store) as store:
             try:
                 return store.read(self.theta[:n])
             except LookupError as error:

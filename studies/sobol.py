@@ -141,13 +141,16 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
     # Not where stored indices are only read: the two take a second.
     from SALib.sample import sobol
 
+    # Parameters with constraints are not independent, their coordinates in the unit cube are.
+    ends = [[0.0, 1.0]] * space.n_parameters
     declared = {
         "num_vars": space.n_parameters,
         "names": list(space.names),
-        "bounds": np.column_stack([space.lower, space.upper]).tolist(),
+        "bounds": ends if space.constraints else np.column_stack([space.lower, space.upper]).tolist(),
     }
     # Second order would take 2 p + 2 rows per block instead of p + 2.
-    return np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
+    rows = np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
+    return space.from_unit(rows) if space.constraints else rows
 
 
 def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None) -> FloatArray:

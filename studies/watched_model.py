@@ -27,26 +27,36 @@ class StoredWatchedModel(StoredModel):
     """
 
     def __init__(
-        self, plain: StoredModel, watched: StoredModel, signals: StateSignals, *, n_first: int = 1
+        self,
+        plain: StoredModel,
+        watched: StoredModel,
+        signals: StateSignals | WatchedModel,
+        *,
+        n_first: int = 1,
     ) -> None:
         """Wrap two models.
 
         Args:
             plain: Answers without states.
             watched: Answers with them, see `studies.calibration.states.watching_states`.
-            signals: What is known of them.
+            signals: What is known of them, or the model that remembers them.
             n_first: Rows that are asked at once while none has succeeded yet.
         """
-        self._watched = WatchedModel(watched, signals)
+        self._watched = signals if isinstance(signals, WatchedModel) else WatchedModel(watched, signals)
         # What it looks like is asked of the model that answers: the other one may never be needed.
         super().__init__(self._watched, plain.store)
-        self.signals = signals
+        self.signals = self._watched.signals
         self.why_unread = ""
         self.n_asked_twice = 0
         self._plain, self._rows = plain, watched
         self._n_first = n_first
         self._are_read = False
         self._n_unread = 0
+
+    @property
+    def watching(self) -> WatchedModel:
+        """What remembers the states."""
+        return self._watched
 
     @property
     def unstored(self) -> ForwardModel:

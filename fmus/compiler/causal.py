@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 
 from fmus.compiler.compile_error import CompileError
-from fmus.compiler.modelica import Check, FlatModel, Variable
+from fmus.compiler.modelica import FlatModel, Variable
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Ode:
+class Ode(FlatModel):
     """Explicit form of a model: der(x) = derivative(t, x, u, p), y = output(t, x, u, p), x(0) = start(p).
 
     All expressions are SX columns in the order of the variables. What stands still between events is u:
@@ -33,19 +33,10 @@ class Ode:
     discrete variables.
     """
 
-    name: str
-    description: str
-    time: Any
-    states: tuple[Variable, ...]
-    inputs: tuple[Variable, ...]
-    parameters: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     derivative: Any
     output: Any
     start: Any
-    checks: tuple[Check, ...]
-    discrete: tuple[Variable, ...]
-    truths: tuple[Any, ...]
     margins: Any
     relations: Any
     actions: tuple[Action, ...]
@@ -119,27 +110,16 @@ def make_explicit(model: FlatModel) -> Ode:
     n_states = len(model.states)
     algebraic = {v.name: solved[n_states + i] for i, v in enumerate(model.algebraics)}
     declared = {v.name: v for v in (*model.algebraics, *model.states, *model.discrete)}
-    for name in model.output_names:
-        if name not in declared:
-            raise CompileError(f"{model.name}: the output {name} is neither calculated nor a state")
     values = {**algebraic, **{v.name: v.symbol for v in (*model.states, *model.discrete)}}
     right_side = ca.cse(
         column([*(solved[i] for i in range(n_states)), *(values[name] for name in model.output_names)])
     )
     return Ode(
-        name=model.name,
-        description=model.description,
-        time=model.time,
-        states=model.states,
-        inputs=model.inputs,
-        parameters=model.parameters,
+        **vars(model),
         outputs=tuple(declared[name] for name in model.output_names),
         derivative=right_side[:n_states],
         output=right_side[n_states:],
         start=column([v.start for v in (*model.states, *model.discrete)]),
-        checks=model.checks,
-        discrete=model.discrete,
-        truths=model.truths,
         margins=ca.cse(column([algebraic[name] for name in model.events.margins])),
         relations=ca.cse(column([algebraic[name] for name in model.events.values])),
         actions=_actions(model, algebraic),

@@ -155,8 +155,4 @@ def write_data(ode: Ode, guid: str) -> str:
 
 
 def _number(value: float) -> str:
-    if value == float("inf"):
-        return "HUGE_VAL"
-    if value == float("-inf"):
-        return "-HUGE_VAL"
-    return repr(float(value))
+    return repr(float(value)).replace("inf", "HUGE_VAL")

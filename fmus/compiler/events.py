@@ -8,13 +8,13 @@ from pymoca import ast
 from fmus.compiler.compile_error import CompileError
 
 _RELATIONS = ("<", "<=", ">", ">=")
-# Operators of Modelica that no embedded model needs; a model with one is refused.
-_NOT_UNDERSTOOD = ("sample", "initial", "terminal", "edge", "change")
+# Operators of Modelica that no embedded model with events needs; a model with one is refused.
+_NOT_UNDERSTOOD = ("sample", "initial", "terminal", "edge", "change", "noEvent", "smooth")
 
 
 @dataclass(frozen=True)
 class Branch:
-    """One branch of a when: as its condition becomes true, variables get new values.
+    """One branch of a when: as its condition becomes true, discrete variables get new values.
 
     Attributes:
         when: Number of the when it belongs to; of the branches of one when, the first that becomes true acts.
@@ -54,9 +54,8 @@ def has_when(flat_class: Any) -> bool:
 def take_out_events(flat_class: Any) -> EventNames:
     """Replace relations and whens of a flat class by variables that are held between events.
 
-    A relation becomes an input (its held truth value) and two variables, its margin and what it is now;
-    within noEvent and smooth it stays. A when becomes a variable for each condition and each new
-    value. What it sets becomes an input.
+    A relation becomes an input (its held truth value) and two variables, its margin and what it is now. A
+    when becomes a variable for each condition and each new value. What it sets becomes an input.
 
     Args:
         flat_class: Class as pymoca flattens it; it is changed.
@@ -65,7 +64,7 @@ def take_out_events(flat_class: Any) -> EventNames:
         Names of the new variables.
 
     Raises:
-        CompileError: If a when does what is not understood.
+        CompileError: If the class has what is not understood.
     """
     return _Rewriting(flat_class).run()
 
@@ -75,14 +74,15 @@ class _Rewriting:
     flat_class: Any
     relations: dict[str, str] = field(default_factory=dict)
     added: list[Any] = field(default_factory=list)
-    discrete: tuple[str, ...] = ()
 
     def run(self) -> EventNames:
         whens = [e for e in self.flat_class.equations if isinstance(e, ast.WhenEquation)]
         rest = [e for e in self.flat_class.equations if not isinstance(e, ast.WhenEquation)]
-        self.discrete = self._discrete_variables(whens)
+        discrete = self._discrete_variables(whens)
         for equation in rest:
-            self._hold_in_equation(equation)
+            if not isinstance(equation, ast.Equation):
+                raise self._error("an equation within if is not understood; write an if expression")
+            equation.left, equation.right = self._hold(equation.left), self._hold(equation.right)
         branches = [
             self._branch(number, condition, block)
             for number, when in enumerate(whens)
@@ -91,7 +91,7 @@ class _Rewriting:
         self.flat_class.equations = [*rest, *self.added]
         numbers = range(1, len(self.relations) + 1)
         return EventNames(
-            discrete=self.discrete,
+            discrete=discrete,
             truths=tuple(self.relations.values()),
             margins=tuple(f"$margin{k}" for k in numbers),
             values=tuple(f"$value{k}" for k in numbers),
@@ -102,41 +102,20 @@ class _Rewriting:
         return CompileError(f"{self.flat_class.name}: {message}")
 
     def _discrete_variables(self, whens: list[Any]) -> tuple[str, ...]:
-        setters: dict[str, int] = {}
-        for number, when in enumerate(whens):
-            for action in (action for block in when.blocks for action in block):
-                if isinstance(action, ast.Equation) and isinstance(action.left, ast.ComponentRef):
-                    name = str(action.left)
-                    if setters.setdefault(name, number) != number:
-                        raise self._error(f"two whens set {name}; make them branches of one, by elsewhen")
-        for name in setters:
-            symbol = self.flat_class.symbols.get(name)
-            if symbol is None or {"state", "parameter", "constant", "input"} & set(symbol.prefixes):
-                raise self._error(
-                    f"a when sets {name}, which is no discrete variable; use reinit for a state"
-                )
-            if getattr(symbol.fixed, "value", None) is not True:
-                raise self._error(f"the discrete variable {name} needs start and fixed=true")
-            symbol.prefixes = ["input"]
-        return tuple(setters)
+        actions = [action for when in whens for block in when.blocks for action in block]
+        if not all(isinstance(action, ast.Equation) for action in actions):
+            raise self._error("a when may hold `variable = expression` alone")
+        names = [str(action.left) for action in actions]
+        for name in names:
+            symbol = self.flat_class.symbols[name]
+            if "discrete" not in symbol.prefixes or getattr(symbol.fixed, "value", None) is not True:
+                raise self._error(f"a when sets {name}: declare it as discrete, with start and fixed=true")
+        for name in names:
+            self.flat_class.symbols[name].prefixes = ["input"]
+        return tuple(dict.fromkeys(names))
 
     def _branch(self, number: int, condition: Any, block: list[Any]) -> Branch:
-        targets: dict[str, str] = {}
-        for action in block:
-            if isinstance(action, ast.Equation) and isinstance(action.left, ast.ComponentRef):
-                target, value = str(action.left), action.right
-            elif isinstance(action, ast.Function) and str(action.name) == "reinit":
-                target, value = str(action.arguments[0]), action.arguments[1]
-                symbol = self.flat_class.symbols.get(target)
-                if symbol is None or "state" not in symbol.prefixes:
-                    raise self._error(f"reinit of {target}, which is no state")
-            else:
-                raise self._error(
-                    "a when may hold `variable = expression` and `reinit(state, expression)` alone"
-                )
-            if target in targets:
-                raise self._error(f"one branch of a when sets {target} twice")
-            targets[target] = self._variable("action", self._hold(value, acting=True))
+        targets = {str(one.left): self._variable("action", self._hold(one.right)) for one in block}
         return Branch(number, self._variable("condition", self._hold(condition)), targets)
 
     def _variable(self, kind: str, expression: Any) -> str:
@@ -151,52 +130,21 @@ class _Rewriting:
         real = ast.ComponentRef(name="Real")
         self.flat_class.symbols[name] = ast.Symbol(name=name, type=real, prefixes=prefixes, order=order)
 
-    def _hold_in_equation(self, equation: Any) -> None:
-        if isinstance(equation, ast.Equation):
-            equation.left, equation.right = self._hold(equation.left), self._hold(equation.right)
-        elif isinstance(equation, ast.IfEquation):
-            equation.conditions = [self._hold(condition) for condition in equation.conditions]
-            for block in equation.blocks:
-                for inner in block:
-                    self._hold_in_equation(inner)
-
-    def _hold(self, node: Any, *, silent: bool = False, acting: bool = False) -> Any:
-        """Replace the relations of an expression.
-
-        Args:
-            node: The expression.
-            silent: Whether relations make no events, as within noEvent.
-            acting: Whether it is a new value in a when, where a discrete variable must stand in pre().
-        """
-        if isinstance(node, ast.ComponentRef):
-            if acting and str(node) in self.discrete:
-                raise self._error(f"{node} in a when: write pre({node}) for its value before the event")
-            return node
+    def _hold(self, node: Any) -> Any:
+        """Replace the relations of an expression."""
         if isinstance(node, ast.IfExpression):
-            node.conditions = [self._hold(n, silent=silent, acting=acting) for n in node.conditions]
-            node.expressions = [self._hold(n, silent=silent, acting=acting) for n in node.expressions]
-            return node
+            raise self._error("if is not understood beside events; write a when")
         if not isinstance(node, ast.Expression):
             return node
         operator = str(node.operator)
-        if operator == "der":
-            return node
-        if operator in {"noEvent", "smooth"}:
-            return self._hold(node.operands[-1], silent=True, acting=acting)
-        if operator == "pre":
-            symbol = self.flat_class.symbols.get(str(node.operands[0]))
-            # All branches see the values from before the event, so that pre() of a state is the state.
-            if str(node.operands[0]) not in self.discrete and (
-                symbol is None or "state" not in symbol.prefixes
-            ):
-                raise self._error(
-                    f"pre({node.operands[0]}) of neither a state nor a variable that a when sets"
-                )
-            return node.operands[0]
         if operator in _NOT_UNDERSTOOD:
             raise self._error(f"{operator}() is not understood; write a condition on a variable or on time")
-        node.operands = [self._hold(n, silent=silent, acting=acting) for n in node.operands]
-        return self._relation(node, operator) if operator in _RELATIONS and not silent else node
+        if operator == "pre":
+            # All branches see the values from before the event.
+            return node.operands[0]
+        if operator != "der":
+            node.operands = [self._hold(operand) for operand in node.operands]
+        return self._relation(node, operator) if operator in _RELATIONS else node
 
     def _relation(self, node: Any, operator: str) -> Any:
         key = str(node)

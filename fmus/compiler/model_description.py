@@ -7,20 +7,22 @@ from xml.etree import ElementTree
 
 import casadi as ca
 
-from fmus.compiler.base_units import derivative_unit, parse_unit
+from fmus.compiler.base_units import base_powers
 from fmus.compiler.causal import Ode, column
 from fmus.compiler.compile_error import CompileError
 from fmus.compiler.modelica import Variable
 from fmus.compiler.settings import BuildSettings
 
-_INITIAL = {"initial": "calculated"}
+KELVIN = 273.15
+Attributes = tuple[dict[str, str], dict[str, str]]
+"""Of a variable: those of every variable, and those of a real one."""
 
 
 def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
     """Write the modelDescription.xml of an FMU.
 
     Value references and variables are in this order: states, their derivatives, inputs, parameters, outputs,
-    discrete variables; in FMI 3.0 then event indicators and the time.
+    discrete variables; in FMI 3.0 then the time.
 
     Args:
         ode: Explicit model.
@@ -33,7 +35,38 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
     Raises:
         CompileError: If a variable has no unit, or an unknown one.
     """
-    return _fmi3(ode, settings, guid) if settings.fmi_version == "3.0" else _fmi2(ode, settings, guid)
+    is_fmi3 = settings.fmi_version == "3.0"
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": settings.fmi_version,
+            "modelName": ode.name,
+            "instantiationToken" if is_fmi3 else "guid": guid,
+            "description": ode.description,
+            "generationTool": f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})",
+            "variableNamingConvention": "structured",
+        },
+    )
+    if not is_fmi3:
+        root.set("numberOfEventIndicators", str(len(ode.truths)))
+    variables = _variables(ode)
+    _interfaces(root, settings)
+    _unit_definitions(root, {*(attributes["unit"] for _, attributes in variables), *["s"] * is_fmi3})
+    categories = ElementTree.SubElement(root, "LogCategories")
+    ElementTree.SubElement(categories, "Category", name="logStatusError", description="Every error")
+    ElementTree.SubElement(
+        root,
+        "DefaultExperiment",
+        startTime=repr(settings.start_time_s),
+        stopTime=repr(settings.stop_time_s),
+        tolerance=repr(settings.tolerance),
+        stepSize=repr(settings.step_size_s),
+    )
+    listed = ElementTree.SubElement(root, "ModelVariables")
+    structure = ElementTree.Element("ModelStructure")
+    (_list_fmi3 if is_fmi3 else _list_fmi2)(ode, variables, listed, structure)
+    root.append(structure)
+    return _text(root)
 
 
 def write_build_description(settings: BuildSettings) -> str:
@@ -60,101 +93,51 @@ def _text(root: ElementTree.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _tool() -> str:
-    return f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})"
+def _interfaces(root: ElementTree.Element, settings: BuildSettings) -> None:
+    is_fmi3 = settings.fmi_version == "3.0"
+    step = {"canHandleVariableCommunicationStepSize": "true"}
+    kinds = {"ModelExchange": {} if is_fmi3 else {"completedIntegratorStepNotNeeded": "true"}}
+    kinds |= {} if settings.model_exchange_only else {"CoSimulation": step}
+    common = {"modelIdentifier": settings.identifier}
+    abilities = ["canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives"]
+    if not is_fmi3:
+        abilities = [
+            "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
+            "providesDirectionalDerivative",
+        ]  # fmt: skip
+    for kind, more in kinds.items():
+        element = ElementTree.SubElement(root, kind, {**common, **dict.fromkeys(abilities, "true"), **more})
+        if not is_fmi3:
+            files = ElementTree.SubElement(element, "SourceFiles")
+            for name in settings.source_files:
+                ElementTree.SubElement(files, "File", name=name)
 
 
-def _log_and_experiment(root: ElementTree.Element, settings: BuildSettings) -> None:
-    categories = ElementTree.SubElement(root, "LogCategories")
-    ElementTree.SubElement(categories, "Category", name="logStatusError", description="Every error")
-    ElementTree.SubElement(
-        root,
-        "DefaultExperiment",
-        startTime=repr(settings.start_time_s),
-        stopTime=repr(settings.stop_time_s),
-        tolerance=repr(settings.tolerance),
-        stepSize=repr(settings.step_size_s),
-    )
-
-
-def _fmi2(ode: Ode, settings: BuildSettings, guid: str) -> str:
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=ode.name,
-        guid=guid,
-        description=ode.description,
-        generationTool=_tool(),
-        variableNamingConvention="structured",
-        numberOfEventIndicators=str(len(ode.truths)),
-    )
-    common = {
-        "modelIdentifier": settings.identifier,
-        "canNotUseMemoryManagementFunctions": "true",
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": "true",
-    }
-    kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "true"}}
-    if not settings.model_exchange_only:
-        kinds["CoSimulation"] = {"canHandleVariableCommunicationStepSize": "true"}
-    for kind, abilities in kinds.items():
-        element = ElementTree.SubElement(root, kind, {**common, **abilities})
-        files = ElementTree.SubElement(element, "SourceFiles")
-        for name in settings.source_files:
-            ElementTree.SubElement(files, "File", name=name)
-    variables = _variables(ode)
-    _unit_definitions(root, [attributes["unit"] for _, attributes in variables])
-    _log_and_experiment(root, settings)
-    listed = ElementTree.SubElement(root, "ModelVariables")
+def _list_fmi2(
+    ode: Ode, variables: list[Attributes], listed: ElementTree.Element, structure: ElementTree.Element
+) -> None:
     for reference, (scalar, real) in enumerate(variables):
         element = ElementTree.SubElement(listed, "ScalarVariable", scalar, valueReference=str(reference))
         ElementTree.SubElement(element, "Real", real)
-    structure = ElementTree.SubElement(root, "ModelStructure")
     for tag, unknowns in _dependencies(ode).items():
         parent = ElementTree.SubElement(structure, tag)
         for reference, depends_on in unknowns:
             dependencies = " ".join(str(known + 1) for known in depends_on if known != _time_reference(ode))
             ElementTree.SubElement(parent, "Unknown", index=str(reference + 1), dependencies=dependencies)
-    return _text(root)
 
 
-def _fmi3(ode: Ode, settings: BuildSettings, guid: str) -> str:
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=ode.name,
-        instantiationToken=guid,
-        description=ode.description,
-        generationTool=_tool(),
-        variableNamingConvention="structured",
-    )
-    common = {
-        "modelIdentifier": settings.identifier,
-        "canGetAndSetFMUState": "true",
-        "canSerializeFMUState": "true",
-        "providesDirectionalDerivatives": "true",
-    }
-    ElementTree.SubElement(root, "ModelExchange", common)
-    if not settings.model_exchange_only:
-        ElementTree.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true")
-    variables = _variables(ode)
-    _unit_definitions(root, [*(attributes["unit"] for _, attributes in variables), "s"])
-    _log_and_experiment(root, settings)
-    listed = ElementTree.SubElement(root, "ModelVariables")
+def _list_fmi3(
+    ode: Ode, variables: list[Attributes], listed: ElementTree.Element, structure: ElementTree.Element
+) -> None:
+    if ode.has_events:
+        raise CompileError(f'{ode.name}: events are written in fmi_version = "2.0" alone')
     for reference, (scalar, real) in enumerate(variables):
         # FMI 2.0 refers to a state by its place in the list, FMI 3.0 by its value reference.
         if "derivative" in real:
             real = {**real, "derivative": str(int(real["derivative"]) - 1)}
         ElementTree.SubElement(listed, "Float64", {**scalar, "valueReference": str(reference), **real})
-    first_indicator = len(variables)
-    for k in range(len(ode.truths)):
-        about = {"name": f"indicator[{k + 1}]", "valueReference": str(first_indicator + k)}
-        about |= {"description": "Margin of a condition", "causality": "local", **_INITIAL}
-        ElementTree.SubElement(listed, "Float64", about)
     about = {"name": "time", "valueReference": str(_time_reference(ode)), "description": "Time"}
     ElementTree.SubElement(listed, "Float64", about, causality="independent", unit="s")
-    structure = ElementTree.SubElement(root, "ModelStructure")
     tags = {
         "Outputs": "Output",
         "Derivatives": "ContinuousStateDerivative",
@@ -164,9 +147,6 @@ def _fmi3(ode: Ode, settings: BuildSettings, guid: str) -> str:
         for reference, depends_on in unknowns:
             about = {"valueReference": str(reference), "dependencies": " ".join(map(str, depends_on))}
             ElementTree.SubElement(structure, tags[tag], about)
-    for k in range(len(ode.truths)):
-        ElementTree.SubElement(structure, "EventIndicator", valueReference=str(first_indicator + k))
-    return _text(root)
 
 
 def _time_reference(ode: Ode) -> int:
@@ -174,14 +154,12 @@ def _time_reference(ode: Ode) -> int:
     return 2 * len(ode.states) + n_rest + len(ode.truths)
 
 
-def _variables(ode: Ode) -> list[tuple[dict[str, str], dict[str, str]]]:
-    if not ode.states:
-        raise CompileError(f"{ode.name}: has no state; there is nothing to simulate")
+def _variables(ode: Ode) -> list[Attributes]:
     derivatives = [
         replace(
             state,
             name=f"der({state.name})",
-            unit=derivative_unit(state.unit),
+            unit=f"{state.unit}/s",
             description=f"Time derivative of {state.name}",
             minimum=None,
             maximum=None,
@@ -208,7 +186,7 @@ def _variables(ode: Ode) -> list[tuple[dict[str, str], dict[str, str]]]:
     return rows
 
 
-def _scalar(variable: Variable, **attributes: str) -> tuple[dict[str, str], dict[str, str]]:
+def _scalar(variable: Variable, **attributes: str) -> Attributes:
     if not variable.unit:
         raise CompileError(f'{variable.name}: has no unit; give it one in the source (unit="1" for a number)')
     real = {"unit": variable.unit}
@@ -224,13 +202,10 @@ def _scalar(variable: Variable, **attributes: str) -> tuple[dict[str, str], dict
 
 def _unit_definitions(root: ElementTree.Element, units: Iterable[str]) -> None:
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted(set(units)):
-        base = parse_unit(unit)
-        attributes = {name: str(power) for name, power in base.powers.items()}
-        if base.factor != 1.0:
-            attributes["factor"] = repr(base.factor)
-        if base.offset != 0.0:
-            attributes["offset"] = repr(base.offset)
+    for unit in sorted(units):
+        attributes = {name: str(power) for name, power in base_powers(unit).items()}
+        if unit == "degC":
+            attributes["offset"] = repr(KELVIN)
         ElementTree.SubElement(ElementTree.SubElement(definitions, "Unit", name=unit), "BaseUnit", attributes)
 
 

@@ -1,7 +1,7 @@
 """Read a Modelica model as flat equations in CasADi symbols, by pymoca."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -70,9 +70,9 @@ class FlatModel:
     output_names: tuple[str, ...]
     residual: Any
     checks: tuple[Check, ...]
-    discrete: tuple[Variable, ...] = ()
-    truths: tuple[Any, ...] = ()
-    events: EventNames = field(default_factory=EventNames)
+    discrete: tuple[Variable, ...]
+    truths: tuple[Any, ...]
+    events: EventNames
 
 
 def read_model(sources: list[Path], class_name: str, *, with_events: bool = False) -> FlatModel:
@@ -92,75 +92,40 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
     Raises:
         CompileError: If the source does not parse, or leaves the subset that is understood.
     """
-    symbols, description = _metadata(sources, class_name)
-    tree = _flatten(sources, class_name)
-    flat_class = tree.classes[class_name]
-    names = EventNames()
-    if with_events:
-        names = take_out_events(flat_class)
-    elif has_when(flat_class):
-        raise CompileError(f"{class_name}: has a when; write events = true into the build file")
     try:
-        raw = _generate(tree, class_name)
+        tree = _flatten(sources, class_name)
+        flat_class = tree.classes[class_name]
+        # What pymoca's CasADi model leaves out: units and descriptions.
+        symbols, description = dict(flat_class.symbols), str(flat_class.comment or "")
+        events = take_out_events(flat_class) if with_events else EventNames()
+        if not with_events and has_when(flat_class):
+            raise CompileError(f"{class_name}: has a when; write events = true into the build file")
+        # What pymoca's `generate` does after flattening.
+        writer = generator.Generator(tree, class_name, generator._merge_default_options(None))
+        generator.GeneratorWalker().walk(writer, tree)
+    except CompileError:
+        raise
     except Exception as error:  # pymoca raises whatever its walk runs into
-        message = (
-            f"{class_name}: pymoca cannot read it ({_first_line(error)}); keep to its subset of Modelica"
-        )
-        raise CompileError(message) from error
-    return _resolve(raw, class_name, symbols, description, names)
-
-
-def _first_line(error: Exception) -> str:
-    return (f"{type(error).__name__}: {error}".strip().splitlines() or [""])[0]
-
-
-def _parse(sources: list[Path]) -> Any:
-    tree = None
-    for path in sources:
-        try:
-            part = parser.parse(path.read_text(encoding="utf-8"))
-        except Exception as error:
-            raise CompileError(f"{path}: does not parse ({_first_line(error)})") from error
-        if part is None:
-            raise CompileError(f"{path}: does not parse; see pymoca's message above")
-        if tree is None:
-            tree = part
-        else:
-            tree.extend(part)
-    if tree is None:
-        raise CompileError("no .mo file in the folder; put the Modelica source next to build.toml")
-    return tree
+        said = " ".join(str(error).split())
+        raise CompileError(
+            f"{class_name}: pymoca cannot read it ({type(error).__name__}: {said}); keep to its subset"
+        ) from error
+    return _resolve(writer.model, class_name, symbols, description, events)
 
 
 def _flatten(sources: list[Path], class_name: str) -> Any:
-    tree = _parse(sources)
-    try:
-        return flatten(tree, ast.ComponentRef.from_string(class_name))
-    except Exception as error:
-        raise CompileError(f"{class_name}: cannot be flattened ({_first_line(error)})") from error
-
-
-def _generate(flat_tree: Any, class_name: str) -> Any:
-    """Do what pymoca's `generate` does after flattening."""
-    writer = generator.Generator(flat_tree, class_name, generator._merge_default_options(None))
-    generator.GeneratorWalker().walk(writer, flat_tree)
-    return writer.model
-
-
-def _metadata(sources: list[Path], class_name: str) -> tuple[dict[str, Any], str]:
-    """Flatten once more for what pymoca's CasADi model leaves out: units and descriptions."""
-    flat_class = _flatten(sources, class_name).classes[class_name]
-    return dict(flat_class.symbols), str(flat_class.comment or "")
+    tree, *others = [parser.parse(path.read_text(encoding="utf-8")) for path in sources]
+    for other in others:
+        tree.extend(other)
+    return flatten(tree, ast.ComponentRef.from_string(class_name))
 
 
 def _resolve(
     raw: Any, class_name: str, symbols: dict[str, Any], description: str, events: EventNames
 ) -> FlatModel:
     """Turn pymoca's model into scalar SX expressions of time, states, inputs and free parameters."""
-    if raw.initial_equations:
-        raise CompileError(f"{class_name}: initial equations are not understood; use start with fixed=true")
-    if raw.delay_states:
-        raise CompileError(f"{class_name}: delay is not understood; write a chain of states")
+    if raw.initial_equations or raw.delay_states:
+        raise CompileError(f"{class_name}: initial equations and delays are not understood; use fixed states")
     everything = [*raw.states, *raw.der_states, *raw.alg_states, *raw.inputs, *raw.constants, *raw.parameters]
     for variable in everything:
         if variable.symbol.shape != (1, 1) or not _is_scalar(variable):
@@ -189,10 +154,7 @@ def _resolve(
         return list(ca.substitute(expressions, old, new)) if old else expressions
 
     def limit(value: Any) -> float:
-        number = substitute(convert([value]))[0]
-        if not number.is_constant():
-            raise CompileError(f"{class_name}: min and max must be numbers or expressions of constants")
-        return float(number)
+        return float(substitute(convert([value]))[0])
 
     def make(variable: Any, start: Any) -> Variable:
         name = variable.symbol.name()

@@ -1,12 +1,12 @@
 """Compile the C sources and pack the FMU."""
 
 import hashlib
-import shutil
 import subprocess
 import tempfile
 import zipfile
-from importlib.util import find_spec
 from pathlib import Path
+
+import fmpy
 
 from fmus.compiler.causal import make_explicit
 from fmus.compiler.code import write_code, write_data
@@ -40,21 +40,19 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
         Path of the FMU.
 
     Raises:
-        CompileError: If the model, the build file, the toolchain or the target does not allow it.
-        OSError: If a source cannot be read or there is no room to compile.
+        CompileError: If the model, the build file or the compiler does not allow it.
+        OSError: If there is no gcc, a source cannot be read or the target not written.
     """
     settings = read_settings(folder)
     target = target or folder / f"{settings.identifier}.fmu"
-    if target.is_dir() or not target.parent.is_dir():
-        wrong = "is a folder" if target.is_dir() else f"there is no folder {target.parent}"
-        raise CompileError(f"{target}: {wrong}; name a file to write, in a folder that is there")
     modelica = sorted(folder.glob("*.mo"))
     ode = make_explicit(read_model(modelica, settings.model, with_events=settings.events))
     functions, header = write_code(ode, settings)
     own = sorted({*settings.source_files, *settings.headers} - {"model.c"})
     sources = {name: (WRAPPER / name).read_bytes() for name in own}
     sources |= {"model.c": functions.encode(), "model.h": header.encode()}
-    sources |= {name: (_fmi_headers() / name).read_bytes() for name in _FMI_HEADERS[settings.fmi_version]}
+    fmi = Path(fmpy.__file__).parent / "c-code"
+    sources |= {name: (fmi / name).read_bytes() for name in _FMI_HEADERS[settings.fmi_version]}
     described = write_description(ode, settings, guid="") + write_data(ode, guid="")
     guid = _guid([*sources.values(), described.encode(), *(path.read_bytes() for path in modelica)])
     sources["model_data.h"] = write_data(ode, guid).encode()
@@ -70,13 +68,6 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
     return target
 
 
-def _fmi_headers() -> Path:
-    spec = find_spec("fmpy")
-    if spec is None or spec.origin is None:
-        raise CompileError("FMPy is not installed, whose FMI headers are needed; pip install fmpy")
-    return Path(spec.origin).parent / "c-code"
-
-
 def _guid(parts: list[bytes]) -> str:
     digest = hashlib.sha256()
     for part in parts:
@@ -87,8 +78,6 @@ def _guid(parts: list[bytes]) -> str:
 
 
 def _compile(sources: dict[str, bytes], settings: BuildSettings) -> bytes:
-    if shutil.which(COMPILER[0]) is None:
-        raise CompileError("gcc is not installed; install it, or use the FMU that is already there")
     with tempfile.TemporaryDirectory(prefix="fmu-build-") as name:
         build = Path(name)
         for file, content in sources.items():
@@ -102,16 +91,9 @@ def _compile(sources: dict[str, bytes], settings: BuildSettings) -> bytes:
 
 
 def _pack(files: dict[str, bytes], target: Path) -> None:
-    partial = target.with_name(target.name + ".part")
-    try:
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-            for name in sorted(files):
-                entry = zipfile.ZipInfo(name, _ZIP_DATE)
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
-                archive.writestr(entry, files[name])
-        partial.replace(target)
-    except OSError as error:
-        raise CompileError(f"{target}: cannot be written ({error.strerror}); make room for it") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, _ZIP_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+            archive.writestr(entry, files[name])

@@ -85,11 +85,11 @@ def read_settings(folder: Path) -> BuildSettings:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         return TypeAdapter(BuildSettings).validate_python(table)
-    except FileNotFoundError:
-        raise CompileError(f'{path}: not found; write it with at least: model = "Package.Model"') from None
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         key = ".".join(map(str, fault["loc"]))
         raise CompileError(f"{path}: {key} = {fault['input']!r}: {fault['msg']}; correct it") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise CompileError(f"{path}: cannot be read ({error}); correct it") from None
+    except (OSError, ValueError) as error:
+        raise CompileError(
+            f'{path}: cannot be read ({error}); it holds at least: model = "Package.Model"'
+        ) from None

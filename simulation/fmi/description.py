@@ -42,7 +42,6 @@ class FmuDescription:
         derivatives: Names of their derivatives, in the same order.
         depends_on: Variables that each of these may depend on, by its name, where it is said.
         n_event_indicators: Functions whose change of sign is an event (model exchange).
-        complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
         units: What it says of its units, by their names.
     """
 
@@ -59,7 +58,6 @@ class FmuDescription:
     derivatives: tuple[str, ...] = ()
     depends_on: Mapping[str, frozenset[str]] = field(default_factory=dict)
     n_event_indicators: int = 0
-    complaint: str = ""
     units: Mapping[str, UnitDefinition] = field(default_factory=dict)
 
     def names(self, causality: str) -> tuple[str, ...]:
@@ -191,9 +189,9 @@ def read_description(path: Path) -> FmuDescription:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
     # Before it is unpacked: a small archive may hold a vast description.
     DESCRIPTION.check(sizes["modelDescription.xml"] / 1e6, str(path))
-    model, complaint = reading.read_model(path, content)
+    model = reading.read_model(path, content)
     try:
-        return _described(path, content, model, complaint, names=sizes)
+        return _described(path, content, model, names=sizes)
     except InputError:
         raise
     # fmpy checks no values: what a conversion raises here is a fault of the file.
@@ -203,9 +201,7 @@ def read_description(path: Path) -> FmuDescription:
         ) from None
 
 
-def _described(
-    path: Path, content: bytes, model: Any, complaint: str, *, names: Collection[str]
-) -> FmuDescription:
+def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]) -> FmuDescription:
     """Take what fmpy read into this package's types, whose values need no further look.
 
     Raises:
@@ -225,15 +221,9 @@ def _described(
     # An FMU may have a binary per interface, and not all of them for this platform.
     runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
     if not runnable:
-        platforms = {
-            name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1
-        }
-        held = (
-            f"it has one for {shortened(', '.join(sorted(platforms)))}" if platforms else "it has none at all"
-        )
         raise InputError(
-            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, "
-            f"{held}); export or compile it for {reading.PLATFORM_FOLDERS[version]}"
+            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing); "
+            f"export or compile it for {reading.PLATFORM_FOLDERS[version]}"
         )
     n_event_indicators = int(model.numberOfEventIndicators)
     if n_event_indicators < 0:
@@ -264,7 +254,6 @@ def _described(
             if unknown.dependencies is not None
         },
         n_event_indicators=n_event_indicators,
-        complaint=complaint,
         units={str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions},
     )
 

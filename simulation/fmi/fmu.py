@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.fmi.cosimulation import CoSimulation
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.solver_choice import runner_for
-from simulation.fmi.start import RunPlan
+from simulation.fmi.reset_proof import RestartingRunner
+from simulation.fmi.runner import Solver
+from simulation.fmi.start import RunPlan, Start
 from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
+from simulation.ties import Tie
 from simulation.trajectories import Trajectories, wrong_number, wrong_output
 
 
@@ -35,12 +38,11 @@ class FmuSettings:
         relative_tolerance: Of the solver; None for the FMU's own.
         accepted: Band outside of which an output makes its row a failed one, None for no band. Shape (k, 2).
             [declared output units]
-        warmup_theta: Parameters with which the warm-up is simulated once, so that every row starts from the
-            state at its end; None for a warm-up of each row's own. Shape (p,). [declared units]
         output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
         parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
         is_watched: Whether outputs may be no numbers without failing their row; who watches checks them.
+        ties: Parameters that follow from others.
     """
 
     path: Path
@@ -52,17 +54,28 @@ class FmuSettings:
     interface: Interface = "co-simulation"
     relative_tolerance: float | None = None
     accepted: FloatArray | None = None
-    warmup_theta: FloatArray | None = None
     output_factors: FloatArray | None = None
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
     is_watched: bool = False
+    ties: tuple[Tie, ...] = ()
+
+    @property
+    def set_names(self) -> tuple[str, ...]:
+        """Parameters of a row and those that follow from them."""
+        return (*self.parameter_space.names, *(one.name for one in self.ties))
 
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
-        """Convert a row from the declared units to the FMU's. Shape (p,)."""
+        """Convert a row from the declared units to the FMU's, and add what is tied. Shapes (p,), (p + r,)."""
         if self.parameter_factors is not None:
             row = row * self.parameter_factors
-        return row if self.parameter_offsets is None else row + self.parameter_offsets
+        if self.parameter_offsets is not None:
+            row = row + self.parameter_offsets
+        if not self.ties:
+            return row
+        values = dict(zip(self.parameter_space.names, row.tolist(), strict=True))
+        numbers = {name: value for name, value in self.fixed.items() if not isinstance(value, str)}
+        return np.array([*row, *(one.value(numbers | values) for one in self.ties)])
 
     def plan(self, description: FmuDescription) -> RunPlan:
         """Find every variable in the FMU.
@@ -91,15 +104,11 @@ class FmuSettings:
         references = [variable.reference for variable in found(self.output_names, "output")]
         suggested = description.default_experiment.tolerance
         return RunPlan(
-            calibrated=found(self.parameter_space.names, "parameter"),
+            calibrated=found(self.set_names, "parameter"),
             fixed=tuple(held(name, value) for name, value in self.fixed.items()),
             input_variables=inputs,
-            inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
-            inputs_at_edges=scenario.inputs_at_edges,
+            scenario=scenario,
             output_references=np.array(references, dtype=np.uint32),
-            edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
-            output_every=scenario.output_every,
-            n_warmup=scenario.n_warmup,
             tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
         )
 
@@ -144,14 +153,7 @@ class FmuModel:
             stack.callback(scratch.remove)
             instance = FmuInstance(description, settings.interface, scratch.folder)
             stack.callback(instance.close)
-            warmup = settings.warmup_theta
-            self._runner = runner_for(
-                instance,
-                description,
-                plan,
-                interface=settings.interface,
-                warmup=None if warmup is None else settings.parameters_for_fmu(warmup),
-            )
+            self._runner = _runner(instance, description, plan, settings.interface)
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
@@ -189,7 +191,10 @@ class FmuModel:
         reason = wrong_number(self.parameter_space.names, row)
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
-            reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)
+            values = settings.parameters_for_fmu(row)
+            reason = wrong_number(settings.set_names, values)
+        if not reason:
+            reason = self._runner.run(values, self._y_simulated)
         if not reason:
             simulated = self._y_simulated[settings.scenario.n_warmup :]
             if settings.output_factors is not None:
@@ -212,3 +217,27 @@ class FmuModel:
     def __exit__(self, *_: object) -> None:
         """Close the model."""
         self.close()
+
+
+def _runner(
+    instance: FmuInstance, description: FmuDescription, plan: RunPlan, interface: Interface
+) -> RestartingRunner:
+    """Choose the solver of an FMU.
+
+    Args:
+        instance: The FMU, just instantiated.
+        description: What it says of itself.
+        plan: What is set, stepped through and read.
+        interface: How it is to be driven.
+    """
+    start = Start(instance, plan)
+    solver: Solver
+    if interface == "co-simulation":
+        solver = CoSimulation(instance, plan, start)
+    else:
+        # Here, because it loads CVODE and compiles its callbacks.
+        from simulation.fmi.exchange import ModelExchange
+
+        solver = ModelExchange(instance, plan, start, description=description)
+    once = description.interfaces[interface].can_be_instantiated_only_once_per_process
+    return RestartingRunner(instance, solver, trusting=once)

@@ -32,7 +32,6 @@ _IN_FMI2 = {
     "GetFloat64": "GetReal",
     "UpdateDiscreteStates": "NewDiscreteStates",
     "GetContinuousStateDerivatives": "GetDerivatives",
-    **{f"{verb}FMUState": f"{verb}FMUstate" for verb in ("Get", "Set", "Free")},
 }
 # Loading changes the working directory of the whole process.
 _LOADING = threading.Lock()
@@ -72,7 +71,6 @@ class FmuInstance:
         self._functions: dict[str, Any] = {}
         self._library = self._load(binary_member(description.fmi_version, self._identifier))
         self.lost = False
-        self._state = c_void_p(None)
         self._instantiate()
         if not self.component:
             # Some FMUs say why only where logging is on.
@@ -167,20 +165,6 @@ class FmuInstance:
         self.is_initialized = False
         return self.has("Reset") and self.call("Reset") <= WARNING
 
-    @property
-    def keeps_state(self) -> bool:
-        """Whether a state was saved that the instance may be brought back to."""
-        return bool(self._state)
-
-    def save_state(self) -> None:
-        """Save the state to come back to, where the FMU does that."""
-        if self.call("GetFMUState", ctypes.addressof(self._state)) > WARNING:
-            self._state = c_void_p(None)
-
-    def restore_state(self) -> bool:
-        """Bring the instance back to the saved state; return whether the FMU says that it is there."""
-        return self.keeps_state and self.call("SetFMUState", self._state) <= WARNING
-
     def replace(self) -> None:
         """Free the instance and make a new one.
 
@@ -251,9 +235,6 @@ class FmuInstance:
 
     def _free_instance(self) -> None:
         # After a fatal error the standard allows no call at all, not even to free the instance.
-        if self.keeps_state and not self.lost:
-            self.call("FreeFMUState", ctypes.addressof(self._state))
-        self._state = c_void_p(None)
         if self.component and not self.lost:
             # After an error the standard allows to free an instance, not to terminate it.
             if self.is_initialized and not self.damaged and self.has("Terminate"):

@@ -53,9 +53,7 @@ def step_through(
     inputs: Any,
     output_references: Any,
     time: FloatArray,
-    first: int,
     output_every: int,
-    no_going_back: int,
     reached: FloatArray,
     y: FloatArray,
 ) -> tuple[int, int, int]:
@@ -67,11 +65,9 @@ def step_through(
         inputs: Table of the inputs. Shape (n_functions, 5), intp.
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
-        first: Step to begin with; a multiple of output_every.
         output_every: Steps between two outputs.
-        no_going_back: 1 where no saved state of an earlier time will be set, else 0.
         reached: Filled with the time that the last step got to (FMI 3.0). Shape (1,). [s]
-        y: Filled with the outputs from the first step on, contiguous. Shape (t, k). [model's units]
+        y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
 
     Returns:
         Status of the last call (0 or 1 when all went well; ENDED where the FMU wants no further step, EARLY
@@ -81,18 +77,18 @@ def step_through(
     # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
     # signed, as numba adds an unsigned and a signed integer to a float.
     y_stride = n_outputs * y.itemsize
-    y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
+    y_address = np.intp(y.ctypes.data)
     output_list = output_references.ctypes.data
     # Three C bools: event handling needed, simulation to be terminated, returned early.
     flags = np.zeros(3, dtype=np.uint8)
     flag, reach, until_output = np.intp(flags.ctypes.data), reached.ctypes.data, 0
     # One turn more than steps: the first output lies at the first edge, before any step.
-    for step in range(first, n_steps + 1):
+    for step in range(n_steps + 1):
         if until_output == 0:
             until_output = output_every
             status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
             if status > WARNING:
-                return status, _GET, max(first, step - 1)
+                return status, _GET, max(0, step - 1)
             y_address += y_stride
         if step == n_steps:
             break
@@ -102,7 +98,8 @@ def step_through(
         h = time[step + 1] - time[step]
         status = call_status(
             functions[_STEP],
-            (component, time[step], h, no_going_back, flag, flag + 1, flag + 2, reach),
+            # 1: no state of an earlier time will be set, so that the FMU may drop what lies behind.
+            (component, time[step], h, 1, flag, flag + 1, flag + 2, reach),
         )
         if status > WARNING:
             return status, _STEP, step

@@ -3,6 +3,7 @@
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
+from simulation.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,26 +22,22 @@ class RunPlan:
         calibrated: The parameters that differ from row to row, in the order of a row. Length p.
         fixed: The parameters held at a value, with their values. [FMU's units]
         input_variables: The inputs. Length n_inputs.
-        inputs: Input of each step, constant over it. Shape (m, n_inputs). [FMU's units]
-        inputs_at_edges: Inputs that outputs see, None where these see their step's. Shape (m + 1, n_inputs).
-            [FMU's units]
+        scenario: Inputs and times. [FMU's units]
         output_references: Value references. Shape (k,), uint32.
-        edges: Edges of the communication steps. Shape (m + 1,). [s]
-        output_every: Steps between two outputs.
-        n_warmup: Outputs before those that are reported.
         tolerance: Relative tolerance to ask for, None for the FMU's own.
     """
 
     calibrated: tuple[FmuVariable, ...]
     fixed: tuple[tuple[FmuVariable, Value], ...]
     input_variables: tuple[FmuVariable, ...]
-    inputs: FloatArray
-    inputs_at_edges: FloatArray | None
+    scenario: Scenario
     output_references: Any
-    edges: FloatArray
-    output_every: int
-    n_warmup: int
     tolerance: float | None
+
+    @cached_property
+    def edges(self) -> FloatArray:
+        """Edges of the communication steps, contiguous. Shape (m + 1,). [s]."""
+        return np.ascontiguousarray(self.scenario.time_communication, dtype=np.float64)
 
     @property
     def n_steps(self) -> int:
@@ -48,7 +46,7 @@ class RunPlan:
 
     def empty_y(self) -> FloatArray:
         """Return an array for the outputs of a row, the warm-up's included. Shape (n_simulated, k)."""
-        return np.empty((self.n_steps // self.output_every + 1, len(self.output_references)))
+        return np.empty((self.n_steps // self.scenario.output_every + 1, len(self.output_references)))
 
 
 class Setting:
@@ -113,19 +111,22 @@ class Start:
 
         structural, others = self._fixed = fixed(True), fixed(False)
         self._parameters = grouped(plan.calibrated, [np.zeros(1, one.dtype) for one in plan.calibrated])
-        driven = zip(plan.input_variables, plan.inputs.T, strict=True)
+        scenario = plan.scenario
+        driven = zip(plan.input_variables, scenario.inputs.T, strict=True)
         self.inputs = grouped(plan.input_variables, [values.astype(one.dtype) for one, values in driven])
         self.input_table = _table(instance, self.inputs)
-        at_edges = np.empty((plan.n_steps + 1, 0)) if plan.inputs_at_edges is None else plan.inputs_at_edges
+        at_edges = scenario.inputs_at_edges
+        at_edges = np.empty((plan.n_steps + 1, 0)) if at_edges is None else at_edges
         continuous = [
             (variable, np.concatenate([over_steps, at]).astype(variable.dtype))
-            for variable, over_steps, at in zip(plan.input_variables, plan.inputs.T, at_edges.T, strict=False)
+            for variable, over_steps, at in zip(
+                plan.input_variables, scenario.inputs.T, at_edges.T, strict=False
+            )
             # In continuous time no others may be set.
             if variable.kind in REAL_KINDS and variable.variability == "continuous"
         ]
         self.seen = grouped([one for one, _ in continuous], [values for _, values in continuous])
         self.seen_table = _table(instance, self.seen)
-        self._set_parameters = _calls(self._parameters)
         asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
         experiment = (asked, tolerance, self._time, True, float(plan.edges[-1]))
         is_fmi2 = instance.prefix == "fmi2"
@@ -135,7 +136,7 @@ class Start:
             *(configuration if structural else []),
             *([("SetupExperiment", *experiment)] if is_fmi2 else []),
             *_calls(others),
-            *self._set_parameters,
+            *_calls(self._parameters),
             # FMI 3.0 has no SetupExperiment and takes the same arguments here.
             ("EnterInitializationMode", *(() if is_fmi2 else experiment)),
             # Inputs of the first step are set here too: initial values may depend on them.
@@ -152,28 +153,12 @@ class Start:
         Returns:
             Why it failed, in one line; "" when it did not.
         """
-        self._take(values)
-        failure = self._instance.call_all(self._calls, self._time)
-        self._instance.is_initialized = not failure
-        return failure
-
-    def set_parameters(self, values: FloatArray, time: float) -> str:
-        """Set the calibrated parameters.
-
-        Args:
-            values: Their values. Shape (p,). [FMU's units]
-            time: Simulated time, for the message. [s]
-
-        Returns:
-            Why it failed, in one line; "" when it did not.
-        """
-        self._take(values)
-        return self._instance.call_all(self._set_parameters, time)
-
-    def _take(self, values: FloatArray) -> None:
         for one in self._parameters:
             # In place: the prepared calls hold the address of this array.
             one.values[0] = values[one.columns]
+        failure = self._instance.call_all(self._calls, self._time)
+        self._instance.is_initialized = not failure
+        return failure
 
 
 def _table(instance: FmuInstance, settings: Sequence[Setting]) -> Any:

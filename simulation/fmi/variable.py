@@ -171,13 +171,11 @@ class FmuInterface:
 
     Attributes:
         model_identifier: Name of the binary.
-        can_get_and_set_state: Whether its state can be saved and brought back.
         can_be_instantiated_only_once_per_process: Whether it allows one instance at a time.
         needs_execution_tool: Whether it needs the tool that made it.
     """
 
     model_identifier: str
-    can_get_and_set_state: bool = False
     can_be_instantiated_only_once_per_process: bool = False
     needs_execution_tool: bool = False
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
-from simulation.pool.remote import FILES
+from simulation.pool.processes import FILES
 from simulation.whole_file import whole_file
 
 try:

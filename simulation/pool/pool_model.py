@@ -19,8 +19,7 @@ from simulation.parameters import ParameterSpace
 from simulation.pool.chunks import RowQueue
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, Facts, known_facts, packed
-from simulation.pool.processes import Processes, ProcessLostError
-from simulation.pool.remote import RemoteModel
+from simulation.pool.processes import Processes, ProcessLostError, RemoteModel
 from simulation.pool.worker_process import MAX_CHUNK_BYTES, ChunkAnswer
 from simulation.trajectories import Trajectories
 

@@ -48,6 +48,10 @@ class SimulationStore:
     A row is known by the exact bytes of its parameters. Failed rows are rows; a good row for the same
     parameters takes their place, and so does a newer failed one. Rows are numbered as they are written.
     Whatever SQLite complains of is a MachineError of one line.
+
+    Attributes:
+        names: Names of the p parameters and of the k outputs.
+        time: Output times. Shape (t,). [s]
     """
 
     def __init__(
@@ -72,8 +76,8 @@ class SimulationStore:
             InputError: If the file belongs to another model or to another version of this program.
         """
         self._file = Path(file)
-        self._names = tuple(parameter_names), tuple(output_names)
-        self._time = np.ascontiguousarray(time, dtype="<f8")
+        self.names = tuple(parameter_names), tuple(output_names)
+        self.time = np.ascontiguousarray(time, dtype="<f8")
         self._model = zlib.crc32(model_digest.encode())
         outputs, parameters = _columns(parameter_names, output_names)
         self._read = f"select _check, _failure, {', '.join(outputs)} from simulations where _theta = ?"
@@ -87,7 +91,7 @@ class SimulationStore:
             "model_digest": model_digest,
             "parameters": json.dumps(parameter_names),
             "outputs": json.dumps(output_names),
-            "time_s": json.dumps(self._time.tolist()),
+            "time_s": json.dumps(self.time.tolist()),
         }
         if not self._file.exists():
             _make(self._file, described, [*(f"{name} real" for name in parameters), *outputs])
@@ -127,7 +131,7 @@ class SimulationStore:
         with _in_words(self._file):
             rows = sorted(self._database.execute("select _id, _theta from simulations"))
         whole = np.frombuffer(b"".join(key for _, key in rows), dtype="<f8")
-        return whole.reshape(len(rows), len(self._names[0])).astype(np.float64)
+        return whole.reshape(len(rows), len(self.names[0])).astype(np.float64)
 
     @property
     def n_written(self) -> int:
@@ -169,7 +173,7 @@ class SimulationStore:
             MachineError: If a row is not what was written: it is removed, to be simulated again.
         """
         keys, failures, damaged = _keys(theta), list[str](), set[bytes]()
-        y = np.empty((len(keys), len(self._time), len(self._names[1])))
+        y = np.empty((len(keys), len(self.time), len(self.names[1])))
         with _in_words(self._file):
             for i, key in enumerate(keys):
                 found = self._database.execute(self._read, (key,)).fetchone()
@@ -190,7 +194,7 @@ class SimulationStore:
                 f"{self._file}: {len(damaged)} of {len(keys)} simulations were damaged and are removed; type "
                 "the command again to repeat them"
             )
-        return Trajectories(np.array(theta, dtype=np.float64), y, self._time, *self._names, tuple(failures))
+        return Trajectories(np.array(theta, dtype=np.float64), y, self.time, *self.names, tuple(failures))
 
     def stream(self, theta: FloatArray) -> Iterator[Trajectories]:
         """Read rows block by block, in bounded memory.
@@ -201,7 +205,7 @@ class SimulationStore:
         Yields:
             Consecutive blocks; see `read` for what it raises.
         """
-        size = max(1, BLOCK_BYTES // max(1, 8 * len(self._time) * len(self._names[1])))
+        size = max(1, BLOCK_BYTES // max(1, 8 * len(self.time) * len(self.names[1])))
         for start in range(0, len(theta), size):
             yield self.read(theta[start : start + size])
 
@@ -215,7 +219,7 @@ class SimulationStore:
             ValueError: If they are another model's.
         """
         names = rows.parameter_names, rows.output_names
-        if names != self._names or not np.array_equal(rows.time, self._time):
+        if names != self.names or not np.array_equal(rows.time, self.time):
             raise ValueError("these rows have other names or times than the store")
         y = np.asarray(rows.y, dtype="<f8")
         if rows.n:

@@ -1,10 +1,12 @@
 """A model that answers by state equations: no simulation, next to no time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.experiments import Layout
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.coefficient import Points
@@ -30,6 +32,11 @@ class EquationModel:
         """Names of the k outputs."""
         return self.equations.signals.outputs
 
+    @property
+    def n_operations(self) -> float:
+        """About what an answer takes."""
+        return self.equations.flow.n_operations
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Solve the equations of every row; one whose states run away has failed.
 
@@ -49,4 +56,32 @@ class EquationModel:
             parameter_names=space.names,
             output_names=self.output_names,
             failures=reasons,
+        )
+
+
+class EquationExperiments:
+    """What the state equations of several experiments answer in place of their models."""
+
+    def __init__(self, models: Sequence[EquationModel], layout: Layout, space: ParameterSpace) -> None:
+        """Put models side by side.
+
+        Args:
+            models: Of each experiment.
+            layout: How their rows become one.
+            space: Parameters of all experiments.
+        """
+        self._models, self._layout = models, layout
+        self.parameter_space = space
+        self.output_names, self.time = layout.output_names, layout.time
+
+    @property
+    def n_operations(self) -> float:
+        """About what an answer takes."""
+        return float(sum(model.n_operations for model in self._models))
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Solve the equations of every row. Shape (n, p). [per parameter]."""
+        parts = zip(self._layout.experiments, self._models, strict=True)
+        return self._layout.join(
+            theta, [model.simulate(self._layout.theta_of(one, theta)) for one, model in parts]
         )

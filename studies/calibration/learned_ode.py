@@ -17,7 +17,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from studies.calibration.coefficient import Points
 from studies.calibration.descent import descend_together, jacobians, objectives
-from studies.calibration.equation_model import EquationModel
+from studies.calibration.equation_model import EquationExperiments, EquationModel
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
@@ -129,7 +129,7 @@ class LearnedODE:
         return is_exact and not self._has_failed and self.is_believed
 
     @property
-    def model(self) -> EquationModel | None:
+    def model(self) -> EquationModel | EquationExperiments | None:
         """A model that answers by the equations, None where they are not known exactly."""
         if self._equations is None or not self.is_sure:
             return None
@@ -411,12 +411,24 @@ class LearnedODE:
 
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
-        assert self._equations is not None, "equations are learnt before they are solved"
         measurement = self._problem.measurement
         with np.errstate(all="ignore"):
-            points = Points.of(self._problem.space, u)
             if n_outputs is None:
-                return measurement.compared(self._equations.outputs(points))
+                return measurement.compared(self.outputs(u))
             y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
-            y[:, :n_outputs] = self._equations.until(n_outputs).outputs(points)
+            y[:, :n_outputs] = self.outputs(u, n_outputs)
             return measurement.compared(y)
+
+    def outputs(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
+        """Solve the equations.
+
+        Args:
+            u: Points. Shape (n, p). [1]
+            n_outputs: How many of the first output times; None for all.
+
+        Returns:
+            Shape (n, t, k). [per output]
+        """
+        assert self._equations is not None, "equations are learnt before they are solved"
+        equations = self._equations if n_outputs is None else self._equations.until(n_outputs)
+        return equations.outputs(Points.of(self._problem.space, u))

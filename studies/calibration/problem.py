@@ -107,6 +107,7 @@ class CalibrationProblem:
             and np.array_equal(mine.lower, theirs.lower)
             and np.array_equal(mine.upper, theirs.upper)
             and np.array_equal(mine.is_log, theirs.is_log)
+            and mine.constraints == theirs.constraints
         )
         if not same:
             raise InputError(

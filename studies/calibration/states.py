@@ -12,6 +12,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.experiments import MARK, Experiment, Layout
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories, wrong_output
 
@@ -85,23 +86,22 @@ class StateSignals:
         edges, every = scenario.time_communication, scenario.output_every
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
         factors, n_outputs = case.settings.output_factors, len(case.settings.output_names)
-        n_unseen = scenario.n_warmup if case.settings.warmup_theta is not None else 0
         return cls(
             fmu.states,
             fmu.derivatives,
             scenario.input_names,
             tuple(fmu.variables[name].unit for name in named),
             tuple(fmu.depends_on.get(name) for name in fmu.derivatives),
-            scenario.inputs[n_unseen * every :],
+            scenario.inputs,
             float(edges[1] - edges[0]),
             every,
-            scenario.n_warmup - n_unseen,
+            scenario.n_warmup,
             case.settings.output_names,
             np.column_stack(
                 [np.ones(n_outputs) if factors is None else factors, case.settings.output_offsets]
             ),
             case.settings.accepted,
-            None if scenario.inputs_at_edges is None else scenario.inputs_at_edges[n_unseen * every :: every],
+            None if scenario.inputs_at_edges is None else scenario.inputs_at_edges[::every],
             others,
             tuple(fmu.variables[name].unit for name in others),
             tolerance=case.settings.relative_tolerance or fmu.default_experiment.tolerance or 0.0,
@@ -136,6 +136,8 @@ class StateRows(NamedTuple):
 def why_unwatched(case: Case) -> str:
     """Say in a line why the states of a case's FMU cannot be watched, "" where they can."""
     fmu = case.fmu
+    if case.experiments:
+        return next(filter(None, map(why_unwatched, case.experiments)), "")
     if not fmu.states:
         return f"{fmu.path}: declares no states, so nothing can be learnt from them"
     if len(fmu.states) > MOST_STATES:
@@ -168,6 +170,9 @@ def watching_states(case: Case) -> Case:
     Raises:
         InputError: If states cannot be watched, see `why_unwatched`.
     """
+    if case.layout is not None:
+        members = tuple(watching_states(one) for one in case.experiments)
+        return replace(case, experiments=members, layout=_watching(case.layout, members))
     signals, settings = StateSignals.of(case), case.settings
     named = (*signals.states, *signals.derivatives, *signals.locals)
     watched = tuple(name for name in named if name not in settings.output_names)
@@ -190,6 +195,20 @@ def watching_states(case: Case) -> Case:
         is_watched=True,
     )
     return replace(case, settings=answering, scenario=scenario, watched=watched)
+
+
+def _watching(layout: Layout, members: tuple[Case, ...]) -> Layout:
+    """Return how rows of experiments become one with all that is watched."""
+    experiments, names = list[Experiment](), list[str]()
+    for one, case in zip(layout.experiments, members, strict=True):
+        watched = case.settings.output_names
+        places = np.arange(len(names), len(names) + len(watched))
+        experiments.append(replace(one, outputs=places, n_times=len(case.scenario.time)))
+        names += (f"{name}{MARK}{one.name}" for name in watched)
+    longest = max((case.scenario.time for case in members), key=len)
+    return replace(
+        layout, output_names=tuple(names), time=longest - longest[0], experiments=tuple(experiments)
+    )
 
 
 class WatchedModel(WrappedModel):
@@ -222,6 +241,16 @@ class WatchedModel(WrappedModel):
         """Times of the outputs that are reported. Shape (t,). [s]."""
         return self._model.time[self.signals.n_before :]
 
+    @property
+    def watched_names(self) -> tuple[str, ...]:
+        """Names of the outputs and of all that is watched."""
+        return self._model.output_names
+
+    @property
+    def watched_time(self) -> FloatArray:
+        """Times at which it is watched. Shape (t,). [s]."""
+        return self._model.time
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row.
 
@@ -241,9 +270,13 @@ class WatchedModel(WrappedModel):
     def simulate_more(self, theta: FloatArray) -> Trajectories:
         """Simulate every row, and remember the rows before, too; see simulate."""
         answer = self._model.simulate(theta)
-        # Bytes are exact keys: `seen` is asked for the parameters as this simulation answered them.
-        self._last |= {row.tobytes(): y for row, y in zip(answer.theta, answer.y, strict=True)}
+        self.remember(answer)
         return self.reported(answer)
+
+    def remember(self, watched: Trajectories) -> None:
+        """Keep what the states did in rows that were simulated with them."""
+        # Bytes are exact keys: `seen` is asked for the parameters as this simulation answered them.
+        self._last |= {row.tobytes(): y for row, y in zip(watched.theta, watched.y, strict=True)}
 
     def reported(self, watched: Trajectories) -> Trajectories:
         """Return the outputs of rows that were simulated with their states and any warm-up of their own."""

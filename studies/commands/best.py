@@ -23,6 +23,7 @@ Examples:
 import argparse
 
 from simulation.errors import InputError
+from studies.commands import options
 from studies.console import Console
 from studies.paths import find_project
 
@@ -33,6 +34,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
     )
     command.add_argument("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size")
+    options.add_experiment(command, "with --write: the experiment whose values are written")
     command.add_argument(
         "--write",
         nargs="+",
@@ -49,12 +51,14 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     if chosen.n_train is not None and (chosen.write or [""])[0] != "onnx":
         raise InputError("--n-train chooses the surrogate of --write onnx; write that, or leave it out")
+    if chosen.experiment is not None and (chosen.write or ["onnx"])[0] == "onnx":
+        raise InputError("--experiment chooses the values of --write; write them, or leave it out")
     project = read_project(find_project(chosen.storage), chosen.which)
     document = best_document(project)
     if chosen.write:
         from studies.exports.written_file import write_best
 
-        document["written"] = str(write_best(project, chosen.write, chosen.n_train))
+        document["written"] = str(write_best(project, chosen.write, chosen.n_train, chosen.experiment))
         console.result(f"written: {document['written']}")
     else:
         console.show(best_blocks(project))

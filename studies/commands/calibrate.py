@@ -39,16 +39,11 @@ Examples:
 """
 
 import argparse
-from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
-
-if TYPE_CHECKING:
-    from studies.stages.pipeline import Study
-    from studies.stages.stage_results import Calibration
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -116,7 +111,6 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         "calibrate",
         [outcome],
         method="adaptive",
-        guideline14=_guideline(study, outcome.result),
         calls_to_target={f"{target:g}": history.calls_to(target) for target in sorted(targets)},
     )
 
@@ -135,12 +129,4 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
     sizes = tuned_sizes(study, chosen.n_train)
     outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
     show_calibrations(study, outcomes)
-    judged = {one.result.n_train: _guideline(study, one.result) for one in outcomes}
-    return hand_over(study, "calibrate", outcomes, guideline14=judged)
-
-
-def _guideline(study: "Study", found: "Calibration") -> dict[str, Any]:
-    """Return the verdicts of ASHRAE guideline 14 by period, as plain values."""
-    from studies.report.sentences import judged_periods
-
-    return {name: [one.to_dict() for one in all_] for name, all_ in judged_periods(study.case, found).items()}
+    return hand_over(study, "calibrate", outcomes)

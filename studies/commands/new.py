@@ -42,12 +42,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "default: those of the top level",
     )
     command.add_argument(
-        "--interface",
-        choices=("co-simulation", "model-exchange"),
-        help="interface of the FMU; default: co-simulation if the FMU offers it",
-    )
-    command.add_argument("--all", action="store_true", help="write all variables, however many")
-    command.add_argument(
         "--list", action="store_true", help="show the variables of the FMU and write nothing"
     )
 

@@ -55,6 +55,11 @@ def add_case(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_experiment(command: argparse.ArgumentParser, what: str) -> None:
+    """Which experiment of a case that has several."""
+    command.add_argument("--experiment", metavar="NAME", help=what)
+
+
 def add_simulation(command: argparse.ArgumentParser) -> None:
     """Options of commands that simulate."""
     command.add_argument("--retry-failed", action="store_true", help="retry failed simulations")

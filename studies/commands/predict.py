@@ -7,16 +7,22 @@ and the fixed values of the case. After studies uncertainty it also simulates th
 equally good parameter sets, one simulation each. The result then has bands: of the simulated outputs, and of
 a measurement with its noise. Each simulation is stored: after an interruption, the same command goes on.
 
+Where the case has experiments, --experiment names the one whose parameters, start and fixed values count;
+one that is held out may be named as well. Without --inputs its own recording drives it, and the picture shows
+what was measured.
+
 Results: mlruns/results/<label>/predict-<calibration>-<file>.csv and .png, and a run in MLflow.
 
 Examples:
   studies predict office --inputs next-winter.csv
   studies predict office --inputs next-winter.csv --method paper --n-train 64
+  studies predict room --experiment summer
 """
 
 import argparse
 from pathlib import Path
 
+from simulation.errors import InputError
 from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
@@ -28,11 +34,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
     options.add_simulation(command)
     command.add_argument(
         "--inputs",
-        required=True,
         type=Path,
         metavar="FILE",
         help="CSV file with the columns of the inputs, or a folder of such files",
     )
+    options.add_experiment(command, "the experiment to simulate, of a case with several")
     command.add_argument(
         "--method",
         choices=("paper", "adaptive"),
@@ -46,9 +52,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.predict_stage import predict_stage
     from studies.stages.uncertainty_stage import calibration_to_judge
 
+    if chosen.inputs is None and chosen.experiment is None:
+        raise InputError("predict needs --inputs FILE, or --experiment NAME of a case with experiments")
     study = open_study(chosen, console)
     calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
-    outcome = predict_stage(study, calibration, chosen.inputs)
+    outcome = predict_stage(study, calibration, chosen.inputs, chosen.experiment)
     found, table = outcome.result, study.paths.root / outcome.result.table
     console.result(f"Table: {study.paths.show(table)}")
     console.result(f"Picture: {study.paths.show(table.with_suffix('.png'))}")

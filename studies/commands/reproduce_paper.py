@@ -15,13 +15,11 @@ these from the trials of an earlier Fig. 6, so that nothing is tuned.
 
 --from FOLDER draws Fig. 6, Fig. 7 or Table 4 from the files of an earlier run. Nothing is simulated or
 trained, and the recording is not needed. A clone of the repository has such files in data/paper-results.
-There --only fig6 without other options draws from them, unless it was made there. --budget makes it anew.
 
 Examples:
   studies reproduce-paper --dry-run                         what is made, and with how many trials
   studies reproduce-paper --only fig6 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
-  studies reproduce-paper office-recorded --only fig6       in a clone: drawn from the committed trials
   studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
   studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
 """
@@ -35,7 +33,7 @@ from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console
-from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of
+from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of, read_sizes
 from studies.paths import find_project
 from studies.report.wording import cell_text, listed
 
@@ -80,9 +78,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     items = chosen_items(chosen.only)
-    source = chosen.source or _committed(chosen, items, console)
-    if source is not None:
-        return _drawn(chosen, items, source, console)
+    if chosen.source is not None:
+        return _drawn(chosen, items, console)
     if chosen.hyperparameters is None and set(items) & set(NEEDS_FIG6):
         items = tuple(item for item in ITEMS if item in items or item == "fig6")
     plan = _plan(chosen, console)
@@ -92,7 +89,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         [Column("item"), Column("what")],
         [[item, ITEMS[item]] for item in items],
     )
-    trials = ", ".join(f"{n}: {budget.trials_of(n)}" for n in budget.n_train)
+    trials = ", ".join(f"{n}: {n_trials}" for n, n_trials in budget.trials.items())
     console.result(f"Trials by training-set size: {trials}")
     document = {"command": "reproduce-paper", "label": study.label, "budget": asdict(budget)}
     if chosen.dry_run:
@@ -118,29 +115,7 @@ def _show(shown: "Shown", files: list[str], console: Console) -> None:
         console.result(file)
 
 
-def _committed(chosen: argparse.Namespace, items: tuple[str, ...], console: Console) -> Path | None:
-    """Return the project's committed files of the one item that was asked for, None where it is to be made.
-
-    It is made where a word says how, where the files are of another case, or where it was made here before.
-    """
-    how = ("budget", "profile", "trials", "seed", "seeds", "hyperparameters")
-    is_plain = not chosen.dry_run and all(getattr(chosen, word) is None for word in how)
-    if not is_plain or len(items) != 1 or items[0] not in DRAWN:
-        return None
-    from studies.paper.unit_files import first_origin, size_files
-
-    paths = find_project(chosen.storage)
-    folder = paths.data / "paper-results" / items[0]
-    origin = first_origin(folder)
-    if origin is None or origin.case != chosen.case:
-        return None
-    if size_files(paths.results(origin.label) / "paper" / items[0]):
-        return None
-    console.say(f"{items[0]}: drawn from {paths.show(folder)}, as none was made here; --budget makes it anew")
-    return folder
-
-
-def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], source: Path, console: Console) -> int:
+def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console) -> int:
     """Draw an item from the files of an earlier run and return the exit code.
 
     Raises:
@@ -151,11 +126,13 @@ def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], source: Path, con
     beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))
     if others := [flag for flag, is_given in beside if is_given]:
         raise InputError(f"--from draws an item and does nothing else; remove {listed(others)}")
-    (item,), paths = items, find_project(chosen.storage)
-    origin, shown = module_of(item).drawn_from(source)
+    (item,), source, paths = items, chosen.source, find_project(chosen.storage)
+    module = module_of(item)
+    origin, sizes = read_sizes(source, module.SIZE)
     if chosen.case != origin.case:
         raise InputError(f"{source} holds results of {origin.case}, not of {chosen.case}")
     command = f"studies reproduce-paper {origin.case} --only {item} --from {paths.show(source)}"
+    shown: Shown = module.shown(origin, sizes)
     files = shown.write(paths.results(origin.label) / "paper" / item, command)
     names = [paths.show(file) for file in files]
     _show(shown, names, console)
@@ -177,22 +154,21 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         trials=chosen.trials,
         n_seeds=chosen.seeds,
     )
-    seed = chosen.seed
 
     def opener(
         *,
-        window: tuple[float, float] | None = None,
-        seed: int | None = seed,
-        profile: str | None = None,
         n_train: tuple[int, ...],
+        window: tuple[float, float] | None = None,
+        seed: int | None = chosen.seed,
+        profile: str | None = None,
     ) -> "Study":
-        words = vars(chosen) | {
+        words = {
             "profile": profile or asked,
             "window": None if window is None else values.Window(*window),
             "seed": seed,
             "n_train": list(n_train),
         }
-        return open_study(argparse.Namespace(**words), console)
+        return open_study(argparse.Namespace(**vars(chosen) | words), console)
 
     words = [str(chosen.case)]
     for name in ("profile", "budget", "trials", "seeds", "seed", "hyperparameters"):

@@ -9,9 +9,8 @@ from simulation.case import Case
 from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.time_unit import DAY_S, period_text, unit_for
-from studies.calibration.prior import Prior
 from studies.doctor.finding import LONGEST, Finding, finding, named
-from studies.report.wording import count, difference_unit, quantity, squared
+from studies.report.wording import count
 
 COLDEST_K, COLDEST_DEGC = 150.0, -100.0
 LIKE_KELVIN = (200.0, 400.0)
@@ -27,12 +26,11 @@ BARE = 0.05
 def look_at_declaration(case: Case) -> Iterator[Finding]:
     """Look at what the case and the FMU declare."""
     fmu, space, convert = case.fmu, case.parameter_space, case.settings.parameters_for_fmu
-    parameters, inputs = [fmu.variables[name] for name in space.names], case.scenario.input_names
-    parameter_count = count(len(parameters), "parameter")
-    n_inputs, n_outputs = count(len(inputs), "input"), count(len(case.outputs), "output")
-    yield finding(
-        "declared", "ok", parameters=parameter_count, inputs=n_inputs, outputs=n_outputs, fmu=fmu.path.name
-    )
+    parameters = [fmu.variables[name] for name in case.settings.set_names]
+    inputs = case.scenario.input_names
+    sizes = {"parameter": len(parameters), "input": len(inputs), "output": len(case.outputs)}
+    counts = {f"{noun}s": count(n, noun) for noun, n in sizes.items()}
+    yield finding("declared", "ok", fmu=fmu.path.name, **counts)
     yield _fmu(case)
     every = [fmu.variables[name] for name in fmu.names("input")]
     yield from named("inputs-left-alone", [one.name for one in every if one.is_out_of_reach])
@@ -40,16 +38,12 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     bare = [one.name for one in (*used, *parameters) if one.kind in REAL_KINDS and not one.unit]
     yield from named("no-unit", bare, n=count(len(bare), "variable"))
     boxes = zip(parameters, convert(space.lower), convert(space.upper), strict=True)
-    yield from named("bounds-beyond", [f"{v.name} ({_ends(v)})" for v, *box in boxes if _is_beyond(v, *box)])
-    numbers = {name: value for name, value in case.fixed.items() if not isinstance(value, str | bool)}
-    held = [(fmu.variables[name], value) for name, value in numbers.items()]
-    beyond = [f"{v.name} = {value:g} ({_ends(v)})" for v, value in held if _is_beyond(v, value, value)]
-    yield from named("fixed-beyond", beyond)
-    known = [one.name for one in space.parameters if one.prior is not None]
-    if prior := Prior.of(space, case.measurement):
-        weight = quantity(prior.weight, squared(difference_unit(case.outputs[0].unit)))
-        names = f"{', '.join(known[:LONGEST])}{', ...' * (len(known) > LONGEST)}"
-        yield finding("priors", "ok", names=names, parameters=parameter_count, weight=weight)
+    beyond = [f"{one.name} ({_ends(one)})" for one, *box in boxes if _is_beyond(one, *box)]
+    for name, value in case.fixed.items():
+        one = fmu.variables[name]
+        if not isinstance(value, str | bool) and _is_beyond(one, value, value):
+            beyond.append(f"{name} = {value:g} ({_ends(one)})")
+    yield from named("beyond", beyond)
 
 
 def look_at_data(case: Case) -> Iterator[Finding]:
@@ -69,31 +63,31 @@ def look_at_data(case: Case) -> Iterator[Finding]:
         step_s=case.communication_step_s,
         remedy="; ".join(remedies),
     )
-    inputs = dict(zip(scenario.input_names, scenario.inputs.T, strict=True))
-    outputs = list(zip(case.outputs, measurement.samples, strict=True))
-    series = [*inputs.items(), *((one.name, samples.values) for one, samples in outputs)]
-    yield from named("constant", [name for name, v in series if len(v) > 1 and np.ptp(v) == 0.0])
-    far, far_inputs, problems = [], [], []
-    for name, values in inputs.items():
-        unit, (floor, low, high) = case.fmu.variables[name].unit, _usual(values)
-        if values.min() < floor:
-            at_s = scenario.time_communication[int(np.argmin(values))]
-            least = f"{values.min():.6g} {unit}".rstrip()
-            far_inputs.append(f"{name} falls to {least} at {at_s:.12g} s, mostly {low:.4g} to {high:.4g}")
-        problems.append((name, unit_problem(values[values >= floor], unit)))
-    for output, samples in outputs:
-        is_far, unit = _is_far(samples.values), f" {output.unit}".rstrip()
-        others, at = samples.values[~is_far], np.flatnonzero(is_far)
+    edges, variables = scenario.time_communication, case.fmu.variables
+    series = [
+        (name, variables[name].unit, edges, values, _is_far_below(values))
+        for name, values in zip(scenario.input_names, scenario.inputs.T, strict=True)
+    ]
+    series += [
+        (output.name, output.unit, samples.time, samples.values, _is_far(samples.values))
+        for output, samples in zip(case.outputs, measurement.samples, strict=True)
+    ]
+    constant, far, problems = [], [], []
+    for name, unit, time, values, is_far in series:
+        others, at = values[~is_far], np.flatnonzero(is_far)
+        if len(values) > 1 and np.ptp(values) == 0.0:
+            constant.append(name)
         if len(at):
-            more = f" and {len(at) - 1} more" if len(at) > 1 else ""
+            value, more = f"{values[at[0]]:.6g} {unit}".rstrip(), f" and {len(at) - 1} more" * (len(at) > 1)
             far.append(
-                f"{output.name}: {samples.values[at[0]]:.6g}{unit} at {samples.time[at[0]]:.12g} s{more}; "
-                f"the others lie between {others.min():.4g} and {others.max():.4g}{unit}"
+                f"{name}: {value} at {time[at[0]]:.12g} s{more}; the others lie between {others.min():.4g} "
+                f"and {others.max():.4g}"
             )
-        problems.append((f"measured {output.name}", unit_problem(others, output.unit)))
+        if problem := unit_problem(others, unit):
+            problems.append(f"{name}: {problem}")
+    yield from named("constant", constant)
     yield from named("far", far, "; ")
-    yield from named("far-inputs", far_inputs, "; ")
-    yield from named("units-of-data", [f"{name}: {problem}" for name, problem in problems if problem], "; ")
+    yield from named("units-of-data", problems, "; ")
 
 
 def unit_problem(values: FloatArray, unit: str) -> str:
@@ -117,12 +111,9 @@ def unit_problem(values: FloatArray, unit: str) -> str:
 def _fmu(case: Case) -> Finding:
     fmu, interface = case.fmu, case.fmu.interfaces[case.interface]
     said = f"FMI {fmu.fmi_version} {case.interface} by {fmu.generation_tool or 'an unnamed tool'}"
-    said += ", state can be saved" * interface.can_get_and_set_state
     said += ", one instance per process" * interface.can_be_instantiated_only_once_per_process
     if interface.needs_execution_tool:
         return finding("fmu-needs-its-tool", said=said)
-    if fmu.complaint:
-        return finding("fmu-breaks-the-standard", said=said, complaint=" ".join(fmu.complaint.split())[:200])
     return finding("fmu", "ok", said=said)
 
 
@@ -139,13 +130,14 @@ def _partly_covered(case: Case) -> Iterator[str]:
             yield f"{output.name} is covered{covered} of {unit.period(case.window_d)}"
 
 
-def _usual(values: FloatArray) -> tuple[float, float, float]:
-    """Return what nine tenths of an input's values lie between, after what none can have meant below it.
+def _is_far_below(values: FloatArray) -> BoolArray:
+    """Say which values of an input lie far below nine tenths of them, as none can have meant. Shape (n,).
 
     Far above them rain or a tap may be; and where a single cell is wrong, many interpolated values are.
     """
-    low, high = (float(one) for one in np.quantile(values, (0.05, 0.95)))
-    return (low - FAR * (high - low) if low < high else -np.inf), low, high
+    low, high = np.quantile(values, (0.05, 0.95))
+    far: BoolArray = (values < low - FAR * (high - low)) & (low < high)
+    return far
 
 
 def _is_far(values: FloatArray) -> BoolArray:

@@ -8,19 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 import studies.doctor.answers as answers
-import studies.doctor.variants as variants
 from simulation.arrays import FloatArray
-from simulation.case import load_case
+from simulation.case import named_experiments, with_step
 from simulation.errors import InputError
-from simulation.forward_model import ForwardModel
+from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
+from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from studies.circumstances import RestartModel
+from studies.circumstances import CircumstanceModel
 from studies.console import format_seconds
 from studies.doctor.declared import look_at_data, look_at_declaration
-from studies.doctor.finding import Diagnosis, Finding, finding, named
-from studies.doctor.storing import StoringModel
+from studies.doctor.finding import STOPPED, Diagnosis, Finding, finding, named
 from studies.doctor.time_budget import TimeBudget
 from studies.physical_model import open_physical_model
 from studies.stages.pipeline import Study
@@ -39,6 +38,18 @@ def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
         study: the case, and how many processes simulate at once.
         is_thorough: whether nothing is left out, however long it takes.
     """
+    if not study.case.experiments:
+        return _examine(study, is_thorough=is_thorough)
+    findings, longest_s = list[Finding](), 0.0
+    for name, case in named_experiments(study.case):
+        found = _examine(replace(study, case=case), is_thorough=is_thorough)
+        findings += (replace(one, what=f"{name}: {one.what}") for one in found.findings)
+        longest_s = max(longest_s, found.simulation_s)
+    return Diagnosis(tuple(findings), longest_s)
+
+
+def _examine(study: Study, *, is_thorough: bool) -> Diagnosis:
+    """Examine a single experiment."""
     case = study.case
     examination = _Examination(study, is_thorough=is_thorough)
     findings = [*look_at_declaration(case), *look_at_data(case)]
@@ -83,26 +94,24 @@ class _Examination:
                 # Inside the box: at a corner a parameter may do nothing.
                 after = alone.simulate(np.stack([answers.coverage_points(case, 1)[0], base]))
                 again = [answer, after.take([1])]
-                if budget.rows("starting the FMU over", 4, at_once=False):
-                    yield self._restart(after.take([0]))
+                if budget.rows("the same answer in any order", 1, at_once=False):
+                    yield [self._in_order(after.take([0]))]
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
         yield list(self._costs())
 
-    def _restart(self, later: Trajectories) -> list[Finding]:
+    def _in_order(self, later: Trajectories) -> Finding:
         """Ask a row as the first of a process that was answered after others in another."""
-        model = RestartModel((self._case.settings,), later.theta[0], self._base)
+        model = CircumstanceModel((self._case.settings,), later.theta[0])
         policy = self._policy(self.budget.with_opening(self.budget.first_timeout_s))
         with PoolModel(model.open, 1, policy=policy) as alone:
-            answer = alone.simulate(np.zeros((1, 1)))
-        first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
-        return [variants.look_at_order(later, first), *variants.look_at_restart(answer)]
+            return answers.look_at_order(later, alone.simulate(np.zeros((1, 1))))
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
         case, budget = self._case, self.budget
         with open_physical_model(self._study, policy=self._policy(budget.row_timeout_s)) as stored:
-            model = StoringModel(stored)
+            model = _StoringModel(stored)
             model.store_finished(nominal)
             if n := budget.rows("influence of the parameters", 2 * self._space.n_parameters, 2):
                 yield list(self._influence(model, nominal, n - n % 2))
@@ -144,8 +153,8 @@ class _Examination:
     def _in_other_processes(self, nominal: Trajectories, again: list[Trajectories]) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
         case, budget, names = self._case, self.budget, self._case.scenario.input_names
-        halved = load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0)
-        model = variants.circumstances(case, halved, self._base)
+        halved = with_step(case, case.communication_step_s / 2.0)
+        model = answers.circumstances(case, halved, self._base)
         policy = self._policy(budget.with_opening(budget.row_timeout_s))
         with PoolModel(model.open, min(budget.n_workers, 2 + len(names)), policy=policy) as other:
             n = budget.rows("another process, half the step, other inputs", 3 + len(names), 3)
@@ -153,8 +162,8 @@ class _Examination:
                 return []
             answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
         asked = names[: n - 3]
-        findings = [variants.look_at_repeats(nominal, again, answer.take([0]))] if again else []
-        findings.append(variants.look_at_halving(case, halved, nominal, answer.take([1])))
+        findings = [answers.look_at_repeats(nominal, again, answer.take([0]))] if again else []
+        findings.append(answers.look_at_halving(case, halved, nominal, answer.take([1])))
         if asked:
             changed = answer.take(np.arange(2, 2 + len(asked)))
             findings.append(answers.look_at_inputs(asked, nominal, changed))
@@ -179,3 +188,35 @@ def _timed(model: ForwardModel, row: FloatArray) -> tuple[Trajectories, float]:
     started = time.perf_counter()
     answer = model.simulate(row[None])
     return answer, time.perf_counter() - started
+
+
+class _StoringModel(WrappedModel):
+    """A stored model that does not store rows that took too long, as others may wait longer for them."""
+
+    def __init__(self, model: StoredModel) -> None:
+        """Wrap a stored model.
+
+        Args:
+            model: The model to ask.
+        """
+        super().__init__(model)
+        self._stored = model
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Read the rows that are stored and simulate the others.
+
+        Args:
+            theta: Parameters, no row twice. Shape (n, p). [per parameter]
+        """
+        missing = self._stored.missing(theta)
+        known, new = np.flatnonzero(~missing), np.flatnonzero(missing)
+        parts = [self._stored.store.read(theta[known])] if len(known) else []
+        if len(new):
+            parts.append(self._stored.unstored.simulate(theta[new]))
+            self.store_finished(parts[-1])
+        return Trajectories.concatenate(parts).take(np.argsort(np.concatenate([known, new])))
+
+    def store_finished(self, rows: Trajectories) -> None:
+        """Store rows of any model that finished, unless they are stored."""
+        finished = np.array([STOPPED not in reason for reason in rows.failures], dtype=np.bool_)
+        self._stored.store.append(rows.take(finished & ~self._stored.store.find(rows.theta)))

@@ -13,6 +13,10 @@ from studies.report.wording import count
 Level = Literal["ok", "warn", "fail"]
 LONGEST = 4
 """Names in one line."""
+STOPPED = "was stopped"
+"""What the reason of a row says that ran into a time-out."""
+MORE_TIME = "say how long one simulation may take: [simulation] timeout_s; or wait: --thorough"
+"""What to do about it."""
 
 
 @dataclass(frozen=True)

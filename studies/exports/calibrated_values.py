@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from simulation.case import Case, load_case
+from simulation.case import Case, load_case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import FmuVariable, Value
 from simulation.foreign_text import quoted, shortened
@@ -64,6 +64,7 @@ class CalibratedValues:
         error = self.finished.found.error_name.lower().replace(" ", "_")
         return {
             "case": self.case.name,
+            **({"experiment": self.case.experiment} if self.case.experiment else {}),
             "case_digest": self.case.digest,
             "command": str(self.finished.outcome.provenance["command"]),
             "finished": self.finished.outcome.finished,
@@ -78,11 +79,12 @@ class CalibratedValues:
         return shortened(", ".join(f"{name}: {value}" for name, value in self.about.items()), 1000)
 
 
-def calibrated_values(project: Project) -> CalibratedValues:
+def calibrated_values(project: Project, experiment: str | None = None) -> CalibratedValues:
     """Return the best calibration of the one case of a project.
 
     Args:
         project: What the project holds of the case.
+        experiment: Which of its experiments; None where it has none.
 
     Raises:
         InputError: There is none, there are several cases, or the case is not as it was calibrated.
@@ -94,12 +96,14 @@ def calibrated_values(project: Project) -> CalibratedValues:
         raise InputError(f"--write needs one calibrated case; {remedy}")
     (finished,) = best
     case = case_of(project.paths, finished.outcome.provenance)
-    space, fmu, units = case.parameter_space, case.fmu, finished.found.units
-    theta = np.array([finished.found.theta[name] for name in space.names])
-    variables = [fmu.variables[name] for name in space.names]
+    case, columns = of_experiment(case, experiment, needed_for="--write")
+    space, fmu = case.parameter_space, case.fmu
+    theta = np.array([*finished.found.theta.values()])[columns]
+    units = {one.name: one.unit for one in space.parameters}
+    variables = [fmu.variables[name] for name in case.settings.set_names]
     in_fmu = case.settings.parameters_for_fmu(theta).tolist()
     values = [
-        SetValue(variable, value, variable.unit or units[variable.name], "calibrated")
+        SetValue(variable, value, variable.unit or units.get(variable.name, ""), "calibrated")
         for variable, value in zip(variables, in_fmu, strict=True)
     ]
     fixed = ((fmu.variables[name], value) for name, value in case.fixed.items())

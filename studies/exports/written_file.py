@@ -27,13 +27,16 @@ OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
 FORMATS: Final = (*OF_VALUES, "onnx")
 
 
-def write_best(project: Project, words: Sequence[str], n_train: int | None) -> Path:
+def write_best(
+    project: Project, words: Sequence[str], n_train: int | None, experiment: str | None = None
+) -> Path:
     """Write the best calibration, or the best surrogate, to a new file.
 
     Args:
         project: What the project holds of a case.
         words: The format and, if it is said, the file; otherwise the case names it, in the working folder.
         n_train: Training-set size of the surrogate; None for all.
+        experiment: Which experiment's values; None where the case has none.
 
     Returns:
         The file.
@@ -53,7 +56,7 @@ def write_best(project: Project, words: Sequence[str], n_train: int | None) -> P
         name, content = as_onnx(project, n_train)
         ending = kind
     else:
-        found = calibrated_values(project)
+        found = calibrated_values(project, experiment)
         ending, written = OF_VALUES[kind]
         name, content = f"{found.case.name}-calibrated", written(found)
     file = Path(files[0]) if files else Path(f"{folder_name(name)}.{ending}")

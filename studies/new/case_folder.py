@@ -11,7 +11,6 @@ from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.whole_file import whole_file
 from studies.new.choice import (
-    choose_interface,
     choose_outputs,
     choose_parameters,
     choose_times,
@@ -48,8 +47,6 @@ def make_case(
     folder: Path | None = None,
     outputs: Sequence[str] = (),
     parameters: Sequence[str] = (),
-    interface: str | None = None,
-    show_all: bool = False,
 ) -> MadeCase:
     """Write a case file for an FMU, copy the FMU beside it and lay out the folder of its recordings.
 
@@ -59,8 +56,6 @@ def make_case(
         folder: Folder of the case; None for fmus/<name of the FMU's file>.
         outputs: Names or patterns of the outputs that are measured; empty for the first.
         parameters: Names or patterns of the parameters to calibrate; empty for those at the top level.
-        interface: How to run the FMU; None for co-simulation where there is some.
-        show_all: Whether every variable is written, however many there are.
 
     Raises:
         InputError: The FMU cannot be used, a name is not in it, there is a case file or another FMU of that
@@ -78,14 +73,13 @@ def make_case(
         fmu=fmu,
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
-        interface=choose_interface(fmu, interface),
+        interface="co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange",
         inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
         held_inputs=inputs_of(fmu, held=True),
         outputs=choose_outputs(fmu, outputs),
         parameters=chosen,
         fixable=other_parameters(fmu),
         times=choose_times(fmu),
-        show_all=show_all,
     )
     case_file, copied = folder / "case.toml", folder / fmu_file.name
     texts = {data / file: content for file, content in example_files(case).items()}

@@ -69,14 +69,12 @@ class Times:
 
     Attributes:
         stop_s: End of the window. [s]
-        communication_step_s: Step over which inputs are constant. [s]
-        output_step_s: Step of the outputs. [s]
+        step_s: Step over which inputs are constant, and of the outputs. [s]
         why: Where they come from.
     """
 
     stop_s: float
-    communication_step_s: float
-    output_step_s: float
+    step_s: float
     why: str
 
     @property
@@ -178,16 +176,6 @@ def bounds_for(variable: FmuVariable) -> Bounds:
     return Bounds(lower, upper, "log" if is_log else "linear", why)
 
 
-def choose_interface(fmu: FmuDescription, wanted: str | None) -> str:
-    """Choose how the FMU is run: as wanted, else by co-simulation where there is some."""
-    offered = tuple(fmu.interfaces)
-    if wanted is not None and wanted not in offered:
-        raise InputError(
-            f"{fmu.path}: offers {' and '.join(offered)}, not {wanted}; leave --interface out or export again"
-        )
-    return wanted or ("co-simulation" if "co-simulation" in offered else offered[0])
-
-
 def choose_times(fmu: FmuDescription) -> Times:
     """Take the default experiment for a first time axis."""
     experiment, span = fmu.default_experiment, DAY_S
@@ -200,8 +188,7 @@ def choose_times(fmu: FmuDescription) -> Times:
     n_steps = max(1, math.floor(span / step * (1.0 + 1e-9)))
     return Times(
         stop_s=n_steps * step,
-        communication_step_s=step,
-        output_step_s=step,
+        step_s=step,
         why="the FMU's default experiment" if is_given else "one day: the FMU names no default experiment",
     )
 

@@ -24,8 +24,6 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
         folder=None if options.to is None else Path(options.to).expanduser(),
         outputs=options.output or (),
         parameters=options.parameter or (),
-        interface=options.interface,
-        show_all=options.all,
     )
     mark_project(paths.root, console)
     case, name = made.case, paths.show(made.file)

@@ -14,7 +14,7 @@ from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.new.choice import Choice, Times, bounds_for
 
 MOST_SHOWN = 40
-"""Commented entries of one kind; the rest is given as a number, unless all are asked for."""
+"""Commented entries of one kind; the rest is given as a number."""
 INPUTS_FILE, MEASURED_FILE = "inputs.csv", "measured.csv"
 N_EXAMPLE_ROWS = 3
 
@@ -36,7 +36,6 @@ class NewCase:
         parameters: The parameters.
         fixable: Parameters that can be fixed but not calibrated.
         times: The time axis.
-        show_all: Whether every variable is written, however many there are.
     """
 
     name: str
@@ -51,7 +50,6 @@ class NewCase:
     parameters: Choice
     fixable: tuple[FmuVariable, ...]
     times: Times
-    show_all: bool
 
     @property
     def tables(self) -> list[tuple[str, tuple[FmuVariable, ...], str]]:
@@ -62,9 +60,8 @@ class NewCase:
 
 def case_text(case: NewCase) -> str:
     """Return the case file."""
-    most = len(case.fmu.variables) if case.show_all else MOST_SHOWN
     template = _environment().get_template("case.toml.jinja")
-    return template.render(case=case, fmu=case.fmu, times=case.times, most=most)
+    return template.render(case=case, fmu=case.fmu, times=case.times, most=MOST_SHOWN)
 
 
 def data_readme(case: NewCase) -> str:
@@ -75,7 +72,7 @@ def data_readme(case: NewCase) -> str:
 
 def example_files(case: NewCase) -> dict[str, str]:
     """Return example CSV files by name: the right columns, never typed."""
-    step_s = case.times.output_step_s
+    step_s = case.times.step_s
     return {file.replace(".csv", ".example.csv"): _csv(used, step_s) for file, used, _ in case.tables}
 
 

@@ -1,18 +1,16 @@
 """Fig. 6: every trial's error over the training-set size, the best of each starred, PCA + GP as a line."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.paper.items import Shown
+from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.row_set import RowSet
@@ -117,12 +115,15 @@ class SizeTrials:
     pca_gp: Tuning | None
 
 
+SIZE = SizeTrials
+
+
 def run(plan: Plan) -> Shown:
     """Tune every size on the window of Fig. 6, the faithful form beside it, and show all trials."""
     study, beside = plan.hyperparameter_study(), plan.faithful_study()
-    simulated = tune_sizes(study, plan.budget.trials_of)
+    simulated = tune_sizes(study, plan.budget.trials)
     if beside is not None:
-        tune_sizes(beside, plan.budget.faithful_trials_of)
+        tune_sizes(beside, plan.budget.faithful_trials)
     networks, pca_gp = _tunings(study), _tunings(study, baseline=True)
     faithful = {} if beside is None else _tunings(beside)
     mean_mae = _mean_predictor(study, simulated)
@@ -135,37 +136,21 @@ def run(plan: Plan) -> Shown:
     return shown(origin, sizes)
 
 
-def drawn_from(folder: Path) -> tuple[Origin, Shown]:
-    """Return the same from the files of an earlier run, without simulations and trainings."""
-    origin, sizes = read_trials(folder)
-    return origin, shown(origin, sizes)
-
-
-def read_trials(folder: Path) -> tuple[Origin, tuple[SizeTrials, ...]]:
-    """Read the trials of all sizes of a folder, the smallest size first.
-
-    Raises:
-        InputError: there is none, one cannot be read, or they belong to different studies.
-    """
-    return read_sizes(folder, SizeTrials, "trials of Fig. 6")
-
-
-def tune_sizes(study: Study, trials_of: Callable[[int], int]) -> Outcome[SimulatedSets]:
+def tune_sizes(study: Study, trials: Mapping[int, int]) -> Outcome[SimulatedSets]:
     """Simulate the sets of a study and tune all its sizes.
 
     Args:
         study: the study, with all sizes.
-        trials_of: returns the trials of a size.
+        trials: trials by size.
 
     Returns:
         What was simulated.
     """
-    wanted = {n: trials_of(n) for n in study.profile.data.n_train}
     simulated = simulate_stage(study)
     # Breadth first: an interruption leaves something of every size.
-    for n_trials in sorted(set(wanted.values())):
+    for n_trials in sorted(set(trials.values())):
         profile = study.profile
-        data = replace(profile.data, n_train=tuple(n for n in wanted if wanted[n] >= n_trials))
+        data = replace(profile.data, n_train=tuple(n for n in trials if trials[n] >= n_trials))
         profile = replace(profile, data=data, tuning=replace(profile.tuning, n_trials=n_trials))
         tune_stage(replace(study, profile=profile), simulated)
     return simulated

@@ -2,18 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from pelsvae.metrics import Errors, errors
 from simulation.design import spread_design
 from simulation.trajectories import Trajectories
-from studies.paper.items import Shown
+from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.models import Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import N_IMPORTANT
-from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
@@ -58,6 +56,9 @@ class SpreadSize:
     p90: dict[str, tuple[float, ...]]
 
 
+SIZE = SpreadSize
+
+
 def run(plan: Plan) -> Shown:
     """Simulate the test sets and let the best of every size, trained again, predict them."""
     chosen = chosen_settings(plan)
@@ -84,12 +85,6 @@ def run(plan: Plan) -> Shown:
     for size in found:
         write_size(plan.folder("fig7"), origin, size.n_train, size)
     return shown(origin, found)
-
-
-def drawn_from(folder: Path) -> tuple[Origin, Shown]:
-    """Return the same from the files of an earlier run, without simulations and trainings."""
-    origin, sizes = read_sizes(folder, SpreadSize, "errors of Fig. 7")
-    return origin, shown(origin, sizes)
 
 
 def important_parameters(study: Study) -> tuple[str, ...]:

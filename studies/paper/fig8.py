@@ -7,11 +7,10 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 
 from simulation.arrays import FloatArray, IntArray
-from studies.paper.direct import Start, computed
 from studies.paper.items import Cell, Shown
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_8_BEST, FIG_8_MEAN
-from studies.paper.table3 import SETTINGS
+from studies.paper.table3 import SETTINGS, Start, computed
 from studies.report.drawing import BETWEEN_BOUNDS, SERIES, Axis, Figure, Panel, Series
 from studies.report.wording import difference_unit, squared
 

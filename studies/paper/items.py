@@ -1,16 +1,21 @@
-"""The tables and figures that are repeated: by name, what each needs, and how one is made and shown."""
+"""The tables and figures that are repeated: by name, what each needs, how one is made, kept and shown."""
 
 import importlib
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from simulation.errors import InputError
+from studies.paper.plan import Plan
+from studies.paths import size_name
+from studies.report.wording import difference_unit
+from studies.stages.pipeline import Study, digest_of, read_json, write_json
+from studies.stages.saved import plain, rebuilt
+from studies.tracking.origin import versions
 
 if TYPE_CHECKING:
-    from studies.paper.plan import Plan
-    from studies.paper.unit_files import Origin
     from studies.report.drawing import Figure
 
 ITEMS = {
@@ -27,6 +32,8 @@ DRAWN = ("fig6", "fig7", "table4")
 
 RESULT = "result.json"
 
+SCHEMA = 1
+Size = TypeVar("Size")
 Cell = float | int | str | None
 
 
@@ -55,7 +62,6 @@ class Shown:
     def write(self, folder: Path, command: str) -> list[Path]:
         """Write table and numbers, draw the picture, and return the files, the JSON file first."""
         from studies.report.drawing import write_png
-        from studies.stages.pipeline import write_json
 
         table = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         write_json(folder / RESULT, {"command": command, "title": self.title, "table": table, **self.more})
@@ -64,23 +70,12 @@ class Shown:
         return [folder / RESULT, write_png(self.figure, folder / self.picture, footnote=self.footnote)]
 
 
-class ItemModule(Protocol):
-    """The module behind an item."""
+def module_of(item: str) -> Any:
+    """Return the module of an item: its `run` takes a Plan and returns what is Shown.
 
-    def run(self, plan: "Plan") -> Shown:
-        """Compute it; what is finished is not computed again."""
-
-    def drawn_from(self, folder: Path) -> "tuple[Origin, Shown]":
-        """Return the same from the files of an earlier run; of the items `DRAWN` alone.
-
-        Raises:
-            InputError: the files cannot be read, or do not belong together.
-        """
-
-
-def module_of(item: str) -> ItemModule:
-    """Return the module that makes an item."""
-    return cast("ItemModule", importlib.import_module(f"studies.paper.{item}"))
+    A module of `DRAWN` also has `SIZE`, the dataclass of a training-set size, and `shown`, which draws these.
+    """
+    return importlib.import_module(f"studies.paper.{item}")
 
 
 def chosen_items(words: Sequence[str] | None) -> tuple[str, ...]:
@@ -100,7 +95,7 @@ def chosen_items(words: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(item for item in ITEMS if item in wanted)
 
 
-def make(plan: "Plan", item: str) -> tuple[Shown, list[Path]]:
+def make(plan: Plan, item: str) -> tuple[Shown, list[Path]]:
     """Make an item, write its files, and log it to MLflow.
 
     Args:
@@ -110,14 +105,11 @@ def make(plan: "Plan", item: str) -> tuple[Shown, list[Path]]:
     Returns:
         What it shows, and its files, the JSON file first.
     """
-    import time
-
-    from studies.stages.pipeline import digest_of
     from studies.tracking.stage_run import StageRun, log_stage
 
     started_s, study = time.time(), plan.study
     with study.console.stage(item, ITEMS[item]):
-        shown = module_of(item).run(plan)
+        shown: Shown = module_of(item).run(plan)
         files = shown.write(plan.folder(item), plan.command(item))
     log_stage(
         study.paths,
@@ -136,3 +128,99 @@ def make(plan: "Plan", item: str) -> tuple[Shown, list[Path]]:
         ),
     )
     return shown, files
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the sizes come from; the same for all of them.
+
+    Args:
+        command: the command that makes them.
+        case: name of the case.
+        case_sha256: digest of the case.
+        label: what the results are named after.
+        note: what a reader of the case must know.
+        budget: the budget of the command.
+        profile: name of the profile.
+        seed: seed of the studies.
+        window_d: first and last day. [d]
+        unit: unit of the errors.
+        n_validation: simulations that choose.
+        n_test: simulations that only judge.
+        versions: of the programs, by name.
+    """
+
+    command: str
+    case: str
+    case_sha256: str
+    label: str
+    note: str
+    budget: str
+    profile: str
+    seed: int
+    window_d: tuple[float, float]
+    unit: str
+    n_validation: int
+    n_test: int
+    versions: dict[str, str]
+
+
+def origin_of(plan: Plan, study: Study, item: str) -> Origin:
+    """Return where the sizes of an item come from.
+
+    Args:
+        plan: what is repeated.
+        study: the study that was tuned or calibrated.
+        item: name of the item.
+    """
+    data, case = study.profile.data, study.case
+    return Origin(
+        command=plan.command(item),
+        case=case.name,
+        case_sha256=case.digest,
+        label=plan.study.label,
+        note=case.note,
+        budget=plan.budget.name,
+        profile=study.profile.name,
+        seed=study.profile.seed,
+        window_d=case.window_d,
+        unit=difference_unit(case.outputs[0].unit),
+        n_validation=data.n_validation,
+        n_test=data.n_test,
+        versions=versions(),
+    )
+
+
+def write_size(folder: Path, origin: Origin, n_train: int, size: Any) -> None:
+    """Write what was found of one training-set size, a dataclass."""
+    content = {"schema": SCHEMA, "origin": plain(origin), "size": plain(size)}
+    write_json(folder / f"{size_name(n_train)}.json", content)
+
+
+def size_files(folder: Path) -> list[Path]:
+    """Return the files of a folder, the smallest size first."""
+    return sorted(folder.glob("n[0-9]*.json"))
+
+
+def read_sizes(folder: Path, kind: type[Size]) -> tuple[Origin, tuple[Size, ...]]:
+    """Read what was found of all sizes of a folder, the smallest size first.
+
+    Args:
+        folder: with files of at least one size.
+        kind: the dataclass that one file holds.
+
+    Raises:
+        InputError: there is no file, one cannot be read, or they belong to different studies.
+    """
+    origins, sizes = list[Origin](), list[Size]()
+    for file in size_files(folder):
+        content = read_json(file)
+        if content is None or content.get("schema") != SCHEMA:
+            raise InputError(f"{file} holds no results of this item as this version writes them")
+        origins.append(rebuilt(Origin, content.get("origin"), str(file)))
+        sizes.append(rebuilt(kind, content.get("size"), str(file)))
+        if origins[-1] != origins[0]:
+            raise InputError(f"{file} belongs to other studies than the smallest size; remove one of them")
+    if not sizes:
+        raise InputError(f"{folder} holds no results of this item; they are files such as n0032.json")
+    return origins[0], tuple(sizes)

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from simulation.errors import InputError
-from studies.paper.fig6 import read_trials
+from studies.paper.fig6 import SizeTrials
+from studies.paper.items import read_sizes
 from studies.paper.plan import Plan
 from studies.search_space import SearchParameter, Value
 from studies.stages.learn import tune_stage
@@ -34,7 +35,7 @@ def chosen_settings(plan: Plan) -> Chosen:
         InputError: there are no trials of a size, or they are those of another form of the surrogate.
     """
     folder, wanted = plan.trials or plan.folder("fig6"), plan.study.profile.tuning.surrogate
-    origin, sizes = read_trials(folder)
+    origin, sizes = read_sizes(folder, SizeTrials)
     tunings = {size.n_train: size.networks for size in sizes}
     for n in plan.budget.n_train:
         if n not in tunings:

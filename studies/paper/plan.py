@@ -1,15 +1,13 @@
 """How much of the paper is repeated: budgets, and the studies (window, seed, sizes) they are spent on."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
-from simulation.errors import InputError, MachineError
+from simulation.errors import InputError
 from studies.profile import Profile
 from studies.stages.pipeline import Study
-
-Window = tuple[float, float] | None
 
 HYPERPARAMETER_WINDOW_D = (8.0, 16.0)
 """Days of Fig. 6; everything else is done on the case's own window."""
@@ -24,9 +22,8 @@ class PaperBudget:
 
     Args:
         name: word for `--budget`.
-        n_train: training-set sizes.
-        trials: trials per size; a size that is not named gets those of the next larger one.
-        faithful_trials: the same for the faithful form in Fig. 6; sizes above the largest have none.
+        trials: trials by training-set size.
+        faithful_trials: the same for the faithful form in Fig. 6.
         n_seeds: seeds of Table 4 at some sizes.
         seed_sizes: these sizes.
         max_row_calls: rows of Table 3 that took the paper more calls are left to another budget.
@@ -35,7 +32,6 @@ class PaperBudget:
     """
 
     name: str
-    n_train: tuple[int, ...]
     trials: dict[int, int]
     faithful_trials: dict[int, int]
     n_seeds: int
@@ -44,20 +40,17 @@ class PaperBudget:
     n_starts: int = 256
     n_spread: int = 320
 
-    def trials_of(self, n_train: int) -> int:
-        """Return the trials of a size."""
-        return _of_next_larger(self.trials, n_train)
-
-    def faithful_trials_of(self, n_train: int) -> int:
-        """Return the trials of a size for the faithful form."""
-        return _of_next_larger(self.faithful_trials, n_train)
+    @property
+    def n_train(self) -> tuple[int, ...]:
+        """Training-set sizes."""
+        return tuple(self.trials)
 
 
+SMALL_SIZES, LARGE_SIZES = (32, 64, 128, 256, 512), (1024, 1536, 2048, 4096)
 BUDGETS = {
     "small": PaperBudget(
         name="small",
-        n_train=(32, 64, 128, 256, 512, 1024),
-        trials={4096: 4},
+        trials=dict.fromkeys((*SMALL_SIZES, 1024), 4),
         faithful_trials={},
         n_seeds=3,
         seed_sizes=(32, 64),
@@ -65,9 +58,8 @@ BUDGETS = {
     ),
     "full": PaperBudget(
         name="full",
-        n_train=(32, 64, 128, 256, 512, 1024, 1536, 2048, 4096),
-        trials={512: 40, 4096: 16},
-        faithful_trials={512: 16},
+        trials=dict.fromkeys(SMALL_SIZES, 40) | dict.fromkeys(LARGE_SIZES, 16),
+        faithful_trials=dict.fromkeys(SMALL_SIZES, 16),
         n_seeds=10,
         seed_sizes=(32, 64, 128, 256),
         max_row_calls=2_000_000,
@@ -94,8 +86,7 @@ def budget_for(
         sizes, max_calls = profile.data.n_train, profile.polish.max_calls
         budget = replace(
             budget,
-            n_train=sizes,
-            trials={max(sizes): profile.tuning.n_trials},
+            trials=dict.fromkeys(sizes, profile.tuning.n_trials),
             faithful_trials={},
             seed_sizes=tuple(n for n in budget.seed_sizes if n in sizes) or sizes[:1],
             n_spread=profile.data.n_test,
@@ -103,28 +94,9 @@ def budget_for(
             n_starts=min(budget.n_starts, max(2, max_calls // 5)),
         )
     if trials is not None:
-        faithful = {max(budget.faithful_trials): trials} if budget.faithful_trials else {}
-        budget = replace(budget, trials={max(budget.n_train): trials}, faithful_trials=faithful)
+        faithful = dict.fromkeys(budget.faithful_trials, trials)
+        budget = replace(budget, trials=dict.fromkeys(budget.trials, trials), faithful_trials=faithful)
     return budget if n_seeds is None else replace(budget, n_seeds=n_seeds)
-
-
-def _of_next_larger(trials: dict[int, int], n_train: int) -> int:
-    named = [size for size in sorted(trials) if size >= n_train]
-    return trials[named[0]] if named else trials[max(trials)]
-
-
-class StudyOpener(Protocol):
-    """Puts a study together as the command line would from the same words."""
-
-    def __call__(
-        self,
-        *,
-        window: Window = None,
-        seed: int | None = None,
-        profile: str | None = None,
-        n_train: tuple[int, ...],
-    ) -> Study:
-        """Return the study of a window, seed and profile (None: the one asked for), and sizes."""
 
 
 @dataclass(frozen=True)
@@ -132,13 +104,14 @@ class Plan:
     """What is repeated, and with how much.
 
     Args:
-        opener: puts a study together.
+        opener: puts a study together, as the command line would, of `n_train` and, where they are given,
+            `window`, `seed` and `profile`.
         budget: how much is spent.
         words: the words of the command line that name case, profile, seed and budget.
         trials: folder with the trials of Fig. 6 whose best are trained again; None takes this project's own.
     """
 
-    opener: StudyOpener
+    opener: Callable[..., Study]
     budget: PaperBudget
     words: str
     trials: Path | None = None
@@ -150,29 +123,16 @@ class Plan:
 
     def hyperparameter_study(self) -> Study:
         """Return the study of Fig. 6, with all sizes."""
-        return self._fig6_study(None, self.budget.n_train)
+        return self.opener(window=HYPERPARAMETER_WINDOW_D, n_train=self.budget.n_train)
 
     def faithful_study(self) -> Study | None:
         """Return the study of the faithful form that Fig. 6 shows beside it, None where none is planned."""
-        most = max(self.budget.faithful_trials, default=0)
-        sizes = tuple(n for n in self.budget.n_train if n <= most)
-        if not sizes:
+        if not self.budget.faithful_trials:
             return None
-        study = self._fig6_study(FAITHFUL_PROFILE, sizes)
+        sizes = tuple(self.budget.faithful_trials)
+        study = self.opener(window=HYPERPARAMETER_WINDOW_D, profile=FAITHFUL_PROFILE, n_train=sizes)
         tuning = replace(study.profile.tuning, baseline=False)
         return replace(study, profile=replace(study.profile, tuning=tuning))
-
-    def _fig6_study(self, profile: str | None, n_train: tuple[int, ...]) -> Study:
-        """Return the study of Fig. 6's window, or the case's own where the recording does not hold it."""
-        try:
-            return self.opener(window=HYPERPARAMETER_WINDOW_D, profile=profile, n_train=n_train)
-        except MachineError:
-            raise
-        except InputError as error:
-            # The user did not type this window: say the case's reason, without the option's name.
-            why = error.__cause__ or error
-            self.study.console.say(f"fig6: days 8 to 16 cannot be had ({why}); the case's own window is used")
-            return self.opener(profile=profile, n_train=n_train)
 
     def seed_studies(self) -> tuple[Study, ...]:
         """Return the studies of Table 4: all sizes with the plan's seed, then some with each further seed."""

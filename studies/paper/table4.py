@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -11,11 +10,10 @@ from simulation.case import KnownError
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
-from studies.paper.items import Shown
+from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
-from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import (
     DIAMOND,
@@ -120,6 +118,9 @@ class SizeCalibrations:
     calibrations: tuple[SeedCalibration, ...]
 
 
+SIZE = SizeCalibrations
+
+
 def run(plan: Plan) -> Shown:
     """Train the best of every size again, screen and polish; do it with more seeds for the small sizes."""
     chosen, origin = chosen_settings(plan), origin_of(plan, plan.study, "table4")
@@ -132,12 +133,6 @@ def run(plan: Plan) -> Shown:
             sizes[n] = _size(study, chosen, n, (*before, found))
             write_size(plan.folder("table4"), origin, n, sizes[n])
     return shown(origin, list(sizes.values()))
-
-
-def drawn_from(folder: Path) -> tuple[Origin, Shown]:
-    """Return the same from the files of an earlier run, without simulations and trainings."""
-    origin, sizes = read_sizes(folder, SizeCalibrations, "calibrations of Table 4")
-    return origin, shown(origin, sizes)
 
 
 def _size(

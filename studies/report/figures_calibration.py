@@ -1,4 +1,4 @@
-"""Pictures of calibrations: outputs over time, and MSE over model calls."""
+"""Pictures of calibrations and of how sure they are: outputs over time, MSE over model calls, intervals."""
 
 import math
 from collections.abc import Sequence
@@ -8,16 +8,16 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
+from simulation.measurement import Measurement
+from simulation.parameters import ParameterSpace
 from studies.report.drawing import (
-    DIAMOND,
-    FAINT,
-    HOLLOW,
+    BETWEEN_BOUNDS,
     INK,
     LOG,
     MEASURED,
     POLISHED,
     SCREENED,
-    SURROGATE,
+    SIMULATED,
     TRAINING,
     Axis,
     Figure,
@@ -28,11 +28,23 @@ from studies.report.drawing import (
     time_axis,
     with_gaps,
 )
-from studies.report.wording import axis_label, count, difference_unit, quantity, shown_unit, square_of
-from studies.stages.stage_results import Calibration
+from studies.report.wording import (
+    axis_label,
+    count,
+    difference_unit,
+    percent,
+    quantity,
+    shown_unit,
+    square_of,
+)
+from studies.stages.prediction import Prediction
+from studies.stages.stage_results import Calibration, Uncertainty
 
 MOST_BAND = 3.0
 """The axis of a residual reaches the end of the sensor's band where that is at most so many times as far."""
+
+
+N_BINS = 40
 
 
 def output_axis(case: Case, output: int) -> Axis:
@@ -133,13 +145,12 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
     n_before, what = found.n_train, "training set"
     if found.is_adaptive:
         n_before, what = int(calls[0]), "stored rows" if found.n_warm_start else "first rows"
-    last = max(found.n_calls_paper, int(calls.max(initial=0)), _calls_to_polish(found) + 1)
+    last = max(found.n_calls_paper, int(calls.max(initial=0)), n_before + 1)
     first = 0.0 if found.is_adaptive else max(0.0, n_before - 0.6 * (last - n_before))
     before = f"{'← ' if first > 0 else ''}{what} ({count(n_before, 'call')})"
     series = [
         Series(before, TRAINING, [first], x_end=[n_before], mark="rect"),
         *reference_lines(case.references),
-        *_gap(found),
         Series(
             f"{quantity(final, unit)} {found.final}", POLISHED, np.append(calls, last),
             np.append(best, np.fmin.reduce(best, initial=final)), style={"interpolate": "step-after"},
@@ -151,19 +162,94 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
     return Figure(f"Best {name} over model calls: {quantity(final, unit)} after {total}", (panel,))
 
 
-def _calls_to_polish(found: Calibration) -> int:
-    """Return the model calls before the polish began."""
-    return found.n_train + found.ledger["n_screen_checks"]
+def band_figure(case: Case, found: Uncertainty) -> Figure:
+    """Show the bands of a posterior sample over the measurement.
+
+    Args:
+        case: What was calibrated, against what.
+        found: The uncertainty.
+    """
+    axis, time_unit = time_axis(case.measurement.time)
+    at, dots, panels = time_unit.of_seconds(case.measurement.time), {"filled": True, "size": 10}, []
+    for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
+        series = _bands(at, found.predictive, found.simulated, k)
+        times = time_unit.of_seconds(samples.time)
+        series.append(Series("measured", MEASURED, times, samples.values, "point", dots))
+        panels.append(Panel(output.name, axis, output_axis(case, k), series))
+    return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels))
 
 
-def _gap(found: Calibration) -> list[Series]:
-    """Return the MSE by the surrogate and by the model, both at the screened point, and the gap between."""
-    if (screened := found.screening) is None:
-        return []
-    ends, both = [found.n_train, _calls_to_polish(found)], [screened.mse_surrogate, screened.mse]
-    gap = Series("gap", FAINT, ends, both, style={"strokeWidth": 3}, is_named=False)
+def prediction_figure(found: Prediction, measurement: Measurement | None = None) -> Figure:
+    """Show each output of a calibrated model with other inputs over time, with its bands.
+
+    Args:
+        found: The prediction.
+        measurement: What was measured meanwhile; None for nothing.
+    """
+    axis, time_unit = time_axis(found.time)
+    at, panels = time_unit.of_seconds(found.time), []
+    for k, (name, unit) in enumerate(zip(found.output_names, found.output_units, strict=True)):
+        series = _bands(at, found.predictive, found.simulated, k)
+        if measurement is not None:
+            samples, dots = measurement.samples[k], {"filled": True, "size": 14}
+            when = time_unit.of_seconds(samples.time)
+            series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
+        series.append(Series("calibrated", POLISHED, at, found.y[:, k]))
+        panels.append(Panel(name, axis, Axis(axis_label(name, shown_unit(unit))), series))
+    bands = "" if found.level is None else f", with {percent(found.level)} bands"
+    driven = "other inputs" if measurement is None else "its recorded inputs"
+    return Figure(f"The calibrated model with {driven}{bands}", tuple(panels))
+
+
+def _bands(
+    at: FloatArray, predictive: FloatArray | None, simulated: FloatArray | None, k: int
+) -> list[Series]:
+    """Return the bands of an output, the wider one first.
+
+    Args:
+        at: Times, in the axis's unit. Shape (t,).
+        predictive: Measured values to be expected, None without. Shape (2, t, k). [per output]
+        simulated: Simulations of equally good parameter sets, None without. Shape (2, t, k). [per output]
+        k: Place of the output.
+    """
     return [
-        *([gap] if math.isfinite(screened.mse) else []),
-        Series("by the surrogate", SURROGATE, ends[:1], both[:1], "point", HOLLOW),
-        Series("by the model, as screened", SCREENED, ends[1:], both[1:], "point", DIAMOND),
+        Series(what, color, at, low=band[0, :, k], high=band[1, :, k])
+        for what, color, band in (("with noise", TRAINING, predictive), ("simulated", SIMULATED, simulated))
+        if band is not None
     ]
+
+
+def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
+    """Show density and interval of every parameter between its bounds.
+
+    Args:
+        box: The parameters.
+        found: The uncertainty.
+    """
+    names = list(found.parameters)
+    linear_low, linear_high = box.to_unit(found.linear)
+    point, dot = box.to_unit(found.point), {"filled": True, "size": 30}
+    series = [
+        Series("linearised", SCREENED, linear_low, names, "rule", {"yOffset": 5}, x_end=linear_high),
+        Series("calibrated", INK, point, names, "point", dot),
+    ]
+    if found.sample.is_trusted:
+        low, high = box.to_unit(found.interval)
+        what, thick = f"{percent(found.level)} interval", {"strokeWidth": 4}
+        interval = Series(what, POLISHED, low, names, "rule", thick, x_end=high)
+        series = [_density(box, found.particles_theta, names), interval, *series]
+    x = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS)
+    panel = Panel("parameters", x, Axis("", is_of_names=True), series, 26 * len(names))
+    return Figure("Intervals of the parameters between their bounds", (panel,))
+
+
+def _density(box: ParameterSpace, particles: FloatArray, names: list[str]) -> Series:
+    """Return how the sample of each parameter is spread, as rectangles that are darker where it is denser."""
+    u, edges = box.to_unit(particles), np.linspace(0.0, 1.0, N_BINS + 1)
+    counts = np.stack([np.histogram(column, edges)[0] for column in u.T])
+    shares = 0.9 * counts / np.maximum(counts.max(axis=1, keepdims=True), 1)
+    p = len(names)
+    return Series(
+        "density", SIMULATED, np.tile(edges[:-1], p), np.repeat(names, N_BINS), "rect", {},
+        x_end=np.tile(edges[1:], p), share=shares.ravel(),
+    )  # fmt: skip

@@ -1,16 +1,15 @@
 """What results mean, in sentences that the terminal and the page share."""
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulation.time_unit import DAY_S, period_text, unit_for
+from simulation.time_unit import DAY_S, unit_for
 from studies.calibration.misfit_threshold import misfit_threshold
 from studies.console import format_seconds
-from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
 from studies.report.wording import (
+    compared_in,
     count,
     difference_unit,
     listed,
@@ -37,6 +36,8 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     """Say what a calibration came to, what it cost and why it ended."""
     found, unit = outcome.result, square_of(case.outputs[0].unit)
     cost = count(found.n_calls_paper, "model call")
+    if case.experiments:
+        cost += f" in each of {count(len(case.experiments), 'experiment')}"
     if found.settings.get("n_parallel", 1) != 1:
         cost += f" in {count(found.n_rounds or 0, 'round')}"
     if found.n_warm_start:
@@ -48,7 +49,7 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
 
 
 def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
-    """Say what a calibration means, from how its state equations did to the limits of ASHRAE guideline 14."""
+    """Say what a calibration means, from how its state equations did to what priors weigh."""
     said = [] if found.state_equations is None else [found.state_equations.sentence]
     if not math.isfinite(found.mse):
         return said
@@ -61,11 +62,6 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
             f"{found.error_name} ({prior.n_independent:.4g} independent samples); all priors together "
             f"{quantity(prior.penalty, unit)}, which no {found.error_name} shown here includes"
         )
-    days = {"calibrated": case, "validation": case.validation}
-    for name, verdicts in judged_periods(case, found).items():
-        period = days[name]
-        if period is not None and (verdict := guideline_sentence(verdicts)):
-            said.append(f"On {period_text(period.window_d)} ({name}): {verdict}")
     return said
 
 
@@ -78,7 +74,11 @@ def _fit(case: "Case", found: Calibration) -> str:
             sensor = f"±{fit.uncertainty:g} {unit}".strip()
             part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
         parts.append(part)
-    return f"On {period_text(case.window_d)} {'; '.join(parts)}"
+    return _begun(f"{compared_in(case)} {'; '.join(parts)}")
+
+
+def _begun(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _outliers(case: "Case", found: Calibration) -> list[str]:
@@ -101,25 +101,6 @@ def _outliers(case: "Case", found: Calibration) -> list[str]:
             sentence += f"; the largest, {quantity(float(difference[worst]), unit)}, at {moment}"
         said.append(sentence)
     return said
-
-
-def judged_periods(case: "Case", found: Calibration) -> Mapping[str, tuple[Judged, ...]]:
-    """Judge a calibration by ASHRAE guideline 14.
-
-    Returns:
-        The verdicts by period: "calibrated" and, where the case has one, "validation"; none of a failed one.
-    """
-    units = [output.unit for output in case.outputs]
-    if not np.isfinite(found.y).all():
-        return {}
-    periods = {"calibrated": judge(case.measurement, units, found.y)}
-    if case.validation is not None and found.validation is not None:
-        fits = found.validation.final.outputs.values()
-        periods["validation"] = tuple(
-            judged(case.validation.measurement, k, unit, fit)
-            for k, (unit, fit) in enumerate(zip(units, fits, strict=False))
-        )
-    return periods
 
 
 def noise_sentence(noise: Noise, unit: str) -> str:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulation.parameters import ParameterSpace
-from simulation.time_unit import period_text
 from studies.blocks import Column, Table, number
 from studies.report.data import Calibrations, best_of
 from studies.report.records_tuning import TunedSize
@@ -15,6 +14,7 @@ from studies.report.wording import (
     MISSING,
     bound_at,
     cell_text,
+    compared_in,
     count,
     declared,
     difference_unit,
@@ -236,7 +236,7 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
                     name,
                     *(errors if k == 0 else [MISSING] * 2),
                     output,
-                    difference_unit(case.outputs[k].unit),
+                    difference_unit(case.validation.outputs[k].unit),
                     count(fit.n_samples),
                     significant(fit.rmse),
                     significant(fit.bias),
@@ -245,7 +245,7 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
                 ]
             )
     title = (
-        f"Validation on {period_text(case.validation.window_d)}, which the calibration did not see (bias: "
+        f"Validation {compared_in(case.validation)}, which the calibration did not see (bias: "
         "simulated minus measured). No count of calls includes its simulations"
     )
     return Table(title, columns, rows)

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from simulation.time_unit import period_text
+
+if TYPE_CHECKING:
+    from simulation.case import Case
 
 MISSING = "–"
 AT_BOUND = 0.01
@@ -112,6 +117,14 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def axis_label(what: str, unit: str) -> str:
     """Write the label of an axis or a column, e.g. "TAir [°C]"."""
     return f"{what} [{unit}]" if unit else what
+
+
+def compared_in(case: Case) -> str:
+    """Say which part was measured: "on days 0 to 10", "in experiments a and b"."""
+    names = [one.experiment for one in case.experiments]
+    if not names:
+        return f"on {period_text(case.window_d)}"
+    return f"in {'experiment' if len(names) == 1 else 'experiments'} {listed(names)}"
 
 
 def listed(items: Iterable[str]) -> str:

@@ -143,7 +143,7 @@ def calibrate_adaptively(
     opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
         problem = CalibrationProblem(physical, case.measurement, prior_of(case))
-        learned_ode = learned_ode_of(physical, problem)
+        learned_ode = learned_ode_of(study.case, physical, problem)
         rows = known = None
         if start is not None:
             rows = start(physical, problem, lambda found: -found.objective)

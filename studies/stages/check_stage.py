@@ -31,6 +31,6 @@ def found_of_the_step(study: Study) -> str | None:
     if before is None or before.inputs["case"] != study.case.digest:
         return None
     for one in before.result.findings:
-        if one.what.startswith("half the communication step") and one.level == "warn":
+        if "half the communication step" in one.what and one.level == "warn":
             return f"{one.what} {one.found}: {one.remedy}"
     return ""

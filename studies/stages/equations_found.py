@@ -4,6 +4,7 @@ import numpy as np
 
 from simulation.case import Case
 from simulation.store.stored_model import StoredModel
+from studies.calibration.experiments_ode import learned_ode
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.states import StateSignals, why_unwatched
@@ -23,16 +24,17 @@ def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
     """
     if wish is None:
         return not why_unwatched(case)
-    if wish:
-        StateSignals.of(case)
+    for one in case.experiments or (case,):
+        if wish:
+            StateSignals.of(one)
     return wish
 
 
-def learned_ode_of(physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:
+def learned_ode_of(case: Case, physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:
     """Return what learns the state equations of a problem, None where the states are not watched."""
     if not isinstance(physical, StoredWatchedModel):
         return None
-    return LearnedODE(physical.signals, physical.seen, problem)
+    return learned_ode(case, physical.watching, problem)
 
 
 def asked_twice(physical: StoredModel) -> int:
@@ -40,19 +42,19 @@ def asked_twice(physical: StoredModel) -> int:
     return physical.n_asked_twice if isinstance(physical, StoredWatchedModel) else 0
 
 
-def equations_found(learned_ode: LearnedODE | None, physical: StoredModel) -> EquationsFound | None:
+def equations_found(ode: LearnedODE | None, physical: StoredModel) -> EquationsFound | None:
     """Return what became of state equations; None where the states were not watched."""
-    if learned_ode is None:
+    if ode is None:
         return None
     unread = physical.why_unread if isinstance(physical, StoredWatchedModel) else ""
     fails = f"the FMU fails where states are read ({unread}; --retry-failed asks again)"
     return EquationsFound(
-        n_states=learned_ode.n_states,
-        n_calls=learned_ode.n_asked,
-        misfit=learned_ode.misfit if np.isfinite(learned_ode.misfit) else None,
-        hidden_inputs=tuple(learned_ode.hidden_inputs),
-        error_at_best=learned_ode.error_at_best if learned_ode.is_believed else None,
-        are_believed=learned_ode.is_believed,
-        why_not=None if learned_ode.is_learnt else fails if unread else learned_ode.why_not,
-        without_effect=tuple(learned_ode.without_effect),
+        n_states=ode.n_states,
+        n_calls=ode.n_asked,
+        misfit=ode.misfit if np.isfinite(ode.misfit) else None,
+        hidden_inputs=tuple(ode.hidden_inputs),
+        error_at_best=ode.error_at_best if ode.is_believed else None,
+        are_believed=ode.is_believed,
+        why_not=None if ode.is_learnt else fails if unread else ode.why_not,
+        without_effect=tuple(ode.without_effect),
     )

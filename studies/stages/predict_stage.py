@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.case import of_experiment
 from simulation.other_inputs import settings_with_inputs
 from simulation.whole_file import whole_file
 from studies.physical_model import open_physical_model
 from studies.report.drawing import write_png
-from studies.report.figure_prediction import prediction_figure
+from studies.report.figures_calibration import prediction_figure
 from studies.report.wording import count
 from studies.stages.finished import stored_uncertainties
 from studies.stages.knowledge import case_inputs
@@ -24,32 +25,40 @@ from studies.stages.stage_runs import log_prediction
 from studies.uncertainty.bands import bands_of, noise_of_outputs
 
 
-def predict_stage(study: Study, calibration: Outcome[Calibration], recording: Path) -> Outcome[Prediction]:
+def predict_stage(
+    study: Study, calibration: Outcome[Calibration], recording: Path | None, experiment: str | None = None
+) -> Outcome[Prediction]:
     """Simulate a calibrated model with other inputs; the bands need a finished `studies uncertainty`.
 
     Args:
         study: The study.
         calibration: The calibration.
-        recording: A CSV file with every column that drives an input of the case.
+        recording: A CSV file with every column that drives an input of the case; None for the recording of
+            an experiment.
+        experiment: Name of an experiment of the case; None where it has none.
 
     Raises:
         InputError: The recording does not fit the case.
         StageError: The calibrated parameters cannot be simulated with it.
     """
-    settings = settings_with_inputs(study.case, recording)
-    case = replace(study.case, settings=settings, scenario=settings.scenario)
+    single, columns = of_experiment(study.case, experiment, needed_for="predict")
+    settings = single.settings if recording is None else settings_with_inputs(single, recording)
+    case = replace(single, settings=settings, scenario=settings.scenario)
     known = {one.result.calibration: one.result for one in stored_uncertainties(study)}.get(calibration.name)
     theta = calibration.result.point[None]
     if known is not None:
         theta = np.concatenate([theta, known.sample_theta])
+    theta = np.ascontiguousarray(theta[:, columns])
     inputs = {
         **case_inputs(study.case),
         "model": case.model_digest,
         "theta": theta.tolist(),
         "noise": None if known is None else vars(known.noise),
     }
-    place = re.sub(r"[^\w.-]", "_", recording.stem)[:100]
-    what = f"{count(len(theta), 'simulation')} with {recording.name}"
+    source = f"experiment {experiment}" if recording is None else recording.name
+    named = "-".join(filter(None, (experiment, None if recording is None else recording.stem)))
+    place = re.sub(r"[^\w.-]", "_", named)[:100]
+    what = f"{count(len(theta), 'simulation')} with {source}"
     stage = Stage(study, f"predict-{calibration.name}-{place}", what, inputs, Prediction)
     before = stage.finished()
     if before is not None:
@@ -58,11 +67,11 @@ def predict_stage(study: Study, calibration: Outcome[Calibration], recording: Pa
         with open_physical_model(study, case=case) as model:
             y = model.simulate(theta).y
         if not np.isfinite(y[0]).all():
-            raise StageError(f"the calibrated parameters cannot be simulated with {recording}")
+            raise StageError(f"the calibrated parameters cannot be simulated with {source}")
         table = stage.file.with_suffix(".csv")
         found = Prediction(
             calibration=calibration.name,
-            inputs=study.paths.recorded(recording),
+            inputs=study.paths.recorded(case.path if recording is None else recording),
             table=study.paths.recorded(table),
             output_names=tuple(output.name for output in case.outputs),
             output_units=tuple(output.unit for output in case.outputs),
@@ -73,21 +82,24 @@ def predict_stage(study: Study, calibration: Outcome[Calibration], recording: Pa
             y=y[0],
         )
         if known is not None:
-            found = _with_bands(study, found, known, y[1:])
+            # A deviation is that of the first output of all.
+            share = case.measurement.uncertainty[0] / study.case.measurement.uncertainty[0]
+            noise = share * noise_of_outputs(known.noise, case.measurement)
+            found = _with_bands(noise, found, known, y[1:])
         picture = stage.file.with_suffix(".png")
         with whole_file(table) as stream:
             stream.write(_as_csv(found))
-        write_png(prediction_figure(found), picture, footnote=f"{study.label}, {recording.name}")
+        figure = prediction_figure(found, None if recording is not None else case.measurement)
+        write_png(figure, picture, footnote=f"{study.label}, {source}")
         return work.keep(found, [table, picture], log=log_prediction)
 
 
-def _with_bands(study: Study, found: Prediction, known: Uncertainty, y: FloatArray) -> Prediction:
+def _with_bands(noise: FloatArray, found: Prediction, known: Uncertainty, y: FloatArray) -> Prediction:
     """Add the bands of a posterior sample, y (n, t, k)."""
     good = np.isfinite(y).all(axis=(1, 2))
     weights = known.weights[good]
     if not weights.sum() > 0.0:
         raise StageError("no simulation of the posterior sample succeeded with these inputs")
-    noise = noise_of_outputs(known.noise, study.case.measurement)
     bands = bands_of(y[good], weights / weights.sum(), noise, known.level)
     return replace(
         found,

@@ -6,7 +6,7 @@ from pathlib import Path
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
 from simulation.errors import InputError
-from simulation.store.store import SimulationStore
+from simulation.store.joined_store import store_at
 from studies.console import Column, OnProgress
 from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
@@ -98,7 +98,7 @@ def missing_rows(study: Study) -> tuple[int, int]:
     designs = _designs(study).values()
     total = sum(map(len, designs))
     try:
-        with SimulationStore.at(store_file(study.paths, study.case)) as store:
+        with store_at(store_file(study.paths, study.case)) as store:
             return total - sum(int(store.find(theta).sum()) for theta in designs), total
     except InputError:
         return total, total

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from studies.report.drawing import Figure, write_png
-from studies.report.figures_calibration import calibration_figure, calls_figure
-from studies.report.figures_uncertainty import band_figure, interval_figure
+from studies.report.figures_calibration import band_figure, calibration_figure, calls_figure, interval_figure
 from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome, Work
 from studies.stages.prediction import Prediction

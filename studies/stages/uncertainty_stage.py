@@ -135,7 +135,7 @@ def _judge(
         posterior = Posterior(noise, prior)
         rows = start(physical, problem, lambda found: posterior.at(found.u, found.mse))
         known = rows.judged(physical, problem)
-        learned_ode = learned_ode_of(physical, problem)
+        learned_ode = learned_ode_of(study.case, physical, problem)
         if learned_ode is not None and known.n:
             learned_ode.note(known)
         if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):
@@ -144,7 +144,7 @@ def _judge(
         emulator = None if learned_ode is None else learned_ode.model
         sampling = sampling_within(max_calls, n_parameters)
         if emulator is not None:
-            n_particles = particles_for(emulator.equations.flow.n_operations)
+            n_particles = particles_for(emulator.n_operations)
             sampling = replace(sampling, n_of_emulator=n_particles)
         found = assess(
             problem,

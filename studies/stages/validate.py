@@ -13,7 +13,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from studies.physical_model import open_physical_model
-from studies.report.guideline14 import output_fit
+from studies.report.output_fit import output_fit
 from studies.stages.pipeline import Study
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
@@ -49,7 +49,8 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
     answer = model.simulate(np.stack(list(points.values())))
     # A simulation that goes on after the window repeats the window first.
     n_window = len(window.time)
-    has_window = np.array_equal(measurement.time[:n_window], window.time)
+    is_later = not case.validation.experiments
+    has_window = is_later and np.array_equal(measurement.time[:n_window], window.time)
     mse = measurement.mse(answer.y)
     mse_window = window.mse(answer.y[:, :n_window]) if has_window else np.full(len(points), np.inf)
     shown = measurement.from_first_sample
@@ -61,7 +62,7 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
                 failure=answer.failures[row],
                 outputs={
                     output.name: output_fit(measurement, k, output.unit, answer.y[row])
-                    for k, output in enumerate(case.outputs)
+                    for k, output in enumerate(case.validation.outputs)
                     if np.isfinite(mse[row])
                 },
             )

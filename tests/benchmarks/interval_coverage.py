@@ -3,13 +3,17 @@
 Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every
 truth is drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the
 sensor's uncertainty that follows itself with correlation rho from sample to sample, calibrated without an
-initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. Every run is
+initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. With
+`--experiments 4`, the recording is cut into four experiments, each with a start of its own. Every run is
 kept in the JSON file as soon as it ends and not repeated. Prints a table and gates nothing.
 """
 
 import argparse
 import json
+import re
 import sys
+import tempfile
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +24,12 @@ sys.path.insert(0, str(ROOT))
 
 from simulation import Case, ForwardModel, Measurement, Trajectories, load_case  # noqa: E402
 from simulation.arrays import FloatArray  # noqa: E402
+from simulation.experiments import JoinedModel  # noqa: E402
 from simulation.forward_model import WrappedModel  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
-from studies.calibration.learned_ode import LearnedODE  # noqa: E402
+from studies.calibration.experiments_ode import learned_ode, watched_model  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
-from studies.calibration.states import StateSignals, WatchedModel, watching_states  # noqa: E402
+from studies.calibration.states import WatchedModel, watching_states  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402
@@ -53,6 +58,20 @@ def disturbed(case: Case, y: FloatArray, rho: float, scale: float, rng: np.rando
     return Measurement.on_grid(case.measurement.time, measured, case.measurement.output_names, uncertainty)
 
 
+def in_experiments(case: str, n: int, length_d: float, folder: Path) -> Case:
+    """Return a case whose recording is cut into experiments, each with a start of its own."""
+    file = ROOT / "fmus" / case / "case.toml"
+    text = file.read_text(encoding="utf-8")
+    text = re.sub(r"\n(# [^\n]*)?\n\[\[references\]\].*", "\n", text, flags=re.S)
+    text = re.sub(r"\n(start|window|validation)_d = [^\n]*", "", text)
+    text = re.sub(r'\n(fmu|data) = "(.*?)"', lambda m: f'\n{m[1]} = "{file.parent / m[2]}"', text)
+    for k in range(n):
+        begin = k * length_d
+        text += f'\n[[experiments]]\nname = "e{k}"\ntime = {{ window_d = [{begin}, {begin + length_d}] }}\n'
+    (folder / "case.toml").write_text(text, encoding="utf-8")
+    return load_case(folder)
+
+
 def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace) -> dict[str, Any]:
     """Draw a truth, calibrate, and say which intervals hold it."""
     rng = np.random.default_rng(seed)
@@ -62,9 +81,9 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     measurement = disturbed(case, y, options.rho, options.scale, rng)
     diary = Diary(model)
     asked = CalibrationProblem(diary, measurement)
-    learned_ode = LearnedODE(model.signals, model.seen, asked)
+    ode = learned_ode(case, model, asked)
     found = Adaptive(max_calls=options.calibration_calls, ftol=1e-4).minimize(
-        asked, seed=seed, learned_ode=learned_ode
+        asked, seed=seed, learned_ode=ode
     )
     problem = CalibrationProblem(model, measurement)
     known = [problem.judge(space.to_unit(answer.theta), answer) for answer in diary.answers]
@@ -72,7 +91,7 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     judged = assess(
         problem, found.theta, found.y, noise=noise, known=joined(known),
         sampling=sampling_within(options.max_calls, space.n_parameters), seed=seed,
-        emulator=learned_ode.model,
+        emulator=ode.model,
     )  # fmt: skip
     low, _, high = judged.interval
     linear_low, linear_high = judged.linear
@@ -103,6 +122,8 @@ def main() -> None:
     )
     parser.add_argument("--scale", type=float, default=1.0, help="noise over the sensor's uncertainty")
     parser.add_argument("--noise", choices=NOISE_KINDS, default="correlated", help="what it is taken for")
+    parser.add_argument("--experiments", type=int, help="how many of --days; default: the case's window")
+    parser.add_argument("--days", type=float, default=0.75, help="length of an experiment")
     parser.add_argument("--max-calls", type=int, default=100, help="of each assessment")
     parser.add_argument("--calibration-calls", type=int, default=100)
     parser.add_argument(
@@ -111,11 +132,22 @@ def main() -> None:
     options = parser.parse_args()
     kept: dict[str, Any] = json.loads(options.json.read_text()) if options.json.is_file() else {}
     case = load_case(ROOT / "fmus" / options.case)
+    if options.experiments is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            case = in_experiments(options.case, options.experiments, options.days, Path(folder))
     said = f"rho {options.rho:g} | scale {options.scale:g} | {options.noise} | {options.max_calls}"
-    name = f"{options.case} | {said}"
+    cut = "" if options.experiments is None else f" in {options.experiments} of {options.days:g} d"
+    name = f"{options.case}{cut} | {said}"
     seeds = range(options.first_seed, options.first_seed + options.truths)
-    with watching_states(case).open_model() as opened:
-        model = WatchedModel(opened, StateSignals.of(case))
+    with_states = watching_states(case)
+    with ExitStack() as stack:
+        if case.layout is None:
+            opened: ForwardModel = stack.enter_context(with_states.open_model())
+        else:
+            rows = with_states.experiment_rows
+            parts = stack.enter_context(closing(rows.open()))
+            opened = JoinedModel(parts, rows, case.parameter_space)
+        model = watched_model(case, opened)
         for seed in seeds:
             key = f"{name} | {seed}"
             if key not in kept:

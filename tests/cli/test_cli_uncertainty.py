@@ -17,7 +17,7 @@ from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.report.drawing import write_png
-from studies.report.figures_uncertainty import interval_figure
+from studies.report.figures_calibration import interval_figure
 from studies.report.sentences import uncertainty_sentences
 from studies.report.tables import intervals_table
 from studies.stages.pipeline import read_outcome

@@ -21,6 +21,7 @@ WHY_NOT = {
     r"--profile refined.toml$": "networks of that form were trained for this project",
     r"^studies reproduce office-quick": "tests/cli reproduce a trial and a calibration",
     r"--write (fmu|onnx|csv) ": "the page of these lines is run as a whole",
+    r" --experiment ": "tests/cli/test_cli_experiments.py types them for a case with experiments",
     r"--output TAir": "names variables of an FMU that is not there",
     r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
     r"^studies tune --profile my.toml$": "`--dry-run` reads the profile",

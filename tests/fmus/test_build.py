@@ -15,7 +15,10 @@ def contents(fmu):
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-@pytest.mark.parametrize("folder", ["office", "office-whitebox", "office-whitebox-metered"])
+FOLDERS = ("office", "office-whitebox", "office-whitebox-metered", "thermostat", "vanderpol", "wall")
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
 def test_the_shipped_fmu_belongs_to_its_sources(compiler, tmp_path, folder):
     model = REPOSITORY / "fmus" / folder
     (shipped,) = model.glob("*.fmu")

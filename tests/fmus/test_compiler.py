@@ -65,6 +65,26 @@ WRONG_MODELS = {
 }
 
 
+EVENTS = f"{RK4}events = true\n"
+WRONG_EVENTS = {
+    "reinit": ("when x > 1 then\n    reinit(x, 0);\n  end when;", EVENTS, "`variable = expression` alone"),
+    "if": ("y = if x > 1 then 1 else 0;", EVENTS, "if is not understood beside events"),
+    "not discrete": ("when x > 1 then\n    y = 1;\n  end when;", EVENTS, "declare it as discrete"),
+    "without events": ("when x > 1 then\n    y = 1;\n  end when;", RK4, "write events = true"),
+    "noEvent": ("y = noEvent(x);", EVENTS, r"noEvent\(\) is not understood"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_EVENTS)
+def test_events_that_are_not_understood_are_one_clear_line(build, name):
+    from fmus.compiler.compile_error import CompileError
+
+    equation, settings, message = WRONG_EVENTS[name]
+    with pytest.raises(CompileError, match=message) as caught:
+        build(f"{HEAD}equation\n  der(x) = 1;\n  {equation}\nend M;", settings)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("name", WRONG_MODELS)
 def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
     from fmus.compiler.compile_error import CompileError

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from studies.paper.unit_files import Origin
+from studies.paper.items import Origin
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RECORDING = REPOSITORY.parent / "shared" / "data" / "office_recording"

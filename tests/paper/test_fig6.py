@@ -2,7 +2,6 @@
 
 import io
 import json
-import shutil
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -15,8 +14,8 @@ from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 
 from simulation.errors import InputError
 from studies.cli import main
-from studies.paper.fig6 import SizeTrials, Trial, Tuning, read_trials, shown
-from studies.paper.unit_files import write_size
+from studies.paper.fig6 import SizeTrials, Trial, Tuning, shown
+from studies.paper.items import read_sizes, write_size
 from studies.report.wording import count, percent, setting, significant
 
 SEARCH: dict[str, dict[str, Any]] = {
@@ -74,28 +73,14 @@ def draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Draw:
 @pytest.mark.parametrize(
     ("item", "picture"), [("fig6", "mae-over-n.png"), ("fig7", "spread.png"), ("table4", "fig9.png")]
 )
-def test_the_plain_command_draws_the_committed_files(
-    tmp_path: Path, draw: Draw, item: str, picture: str
-) -> None:
-    shutil.copytree(COMMITTED / item, tmp_path / "data" / "paper-results" / item)
-    code, document = draw("--only", item)
+def test_the_committed_files_are_drawn(tmp_path: Path, draw: Draw, item: str, picture: str) -> None:
+    code, document = draw("--only", item, "--from", str(COMMITTED / item))
     assert code == 0
     numbers, drawn = (tmp_path / file for file in document["files"])
     assert drawn.name == picture
     assert drawn.read_bytes().startswith(b"\x89PNG")
     assert [row["n_train"] for row in json.loads(numbers.read_text())["table"]][:2] == [32, 64]
     assert not (tmp_path / "mlruns" / "optuna.db").exists()
-
-
-def test_whoever_names_a_budget_or_has_made_the_figure_means_that_it_is_made(
-    tmp_path: Path, draw: Draw
-) -> None:
-    write_size(tmp_path / "data" / "paper-results" / "fig6", ORIGIN, 1024, size(1024, 0.1, 0.08))
-    assert draw("--only", "fig6")[0] == 0
-    assert "recording" in draw("--only", "fig6", "--budget", "small")[1]["error"]
-    made = tmp_path / "mlruns" / "results" / ORIGIN.label / "paper" / "fig6"
-    write_size(made, ORIGIN, 1024, size(1024, 0.1))
-    assert "recording" in draw("--only", "fig6")[1]["error"]
 
 
 def test_the_best_is_chosen_by_validation_beside_default_and_others() -> None:
@@ -107,7 +92,7 @@ def test_the_best_is_chosen_by_validation_beside_default_and_others() -> None:
 
 
 def test_the_committed_trials_are_what_the_documentation_says() -> None:
-    result = shown(*read_trials(COMMITTED / "fig6"))
+    result = shown(*read_sizes(COMMITTED / "fig6", SizeTrials))
     documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
     for row in result.rows:
         assert documented_row(dict(zip(result.columns, row, strict=True))) in documentation
@@ -132,14 +117,14 @@ def documented_row(row: Mapping[str, Any]) -> str:
 
 
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Draw) -> None:
-    folder, words = tmp_path / "trials", ("--only", "fig6", "--from", "trials")
-    assert draw(*words)[1]["error"].startswith("trials holds no trials of Fig. 6")
-    write_size(folder, ORIGIN, 32, size(32, 1.2))
+    words = ("--only", "fig6", "--from", str(tmp_path))
+    assert "holds no results of this item" in draw(*words)[1]["error"]
+    write_size(tmp_path, ORIGIN, 32, size(32, 1.2))
     assert "remove --dry-run" in draw(*words, "--dry-run")[1]["error"]
     assert "draws one item alone" in draw("--from", "trials")[1]["error"]
-    write_size(folder, replace(ORIGIN, seed=1), 64, size(64, 1.2))
-    with pytest.raises(InputError, match=r"n0064.json belongs to other studies than n0032.json"):
-        read_trials(folder)
-    (folder / "n0064.json").write_text('{"schema": 1}')
+    write_size(tmp_path, replace(ORIGIN, seed=1), 64, size(64, 1.2))
+    with pytest.raises(InputError, match=r"n0064.json belongs to other studies than the smallest size"):
+        read_sizes(tmp_path, SizeTrials)
+    (tmp_path / "n0064.json").write_text('{"schema": 1}')
     with pytest.raises(InputError, match=r"n0064.json: .* use the version that wrote it"):
-        read_trials(folder)
+        read_sizes(tmp_path, SizeTrials)

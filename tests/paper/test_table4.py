@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 
-from studies.paper import fig7, table4
+from studies.paper import fig7
+from studies.paper.items import read_sizes, write_size
 from studies.paper.table4 import SeedCalibration, SizeCalibrations, shown
-from studies.paper.unit_files import read_sizes, write_size
 from studies.report.wording import count, significant
 
 DOCUMENTATION = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
@@ -49,13 +49,13 @@ def test_what_could_not_be_simulated_is_infinite_and_null_in_the_file(tmp_path: 
     failed = replace(calibration(0, None), **never, polish_mse=(np.inf,) * 3)
     write_size(tmp_path, ORIGIN, 32, size_of(failed))
     assert "Infinity" not in (tmp_path / "n0032.json").read_text()
-    _, (size,) = read_sizes(tmp_path, SizeCalibrations, "calibrations")
+    _, (size,) = read_sizes(tmp_path, SizeCalibrations)
     assert size == size_of(failed)
     assert row_of(*size.calibrations)["final MSE"] == np.inf
 
 
 def test_the_committed_calibrations_are_what_the_documentation_says() -> None:
-    _, result = table4.drawn_from(COMMITTED / "table4")
+    result = shown(*read_sizes(COMMITTED / "table4", SizeCalibrations))
     for row in result.rows:
         assert documented_row(dict(zip(result.columns, row, strict=True))) in DOCUMENTATION
 
@@ -83,7 +83,7 @@ def documented_row(row: Mapping[str, Any]) -> str:
 
 
 def test_the_committed_errors_of_fig_7_are_what_the_documentation_says() -> None:
-    _, result = fig7.drawn_from(COMMITTED / "fig7")
+    result = fig7.shown(*read_sizes(COMMITTED / "fig7", fig7.SpreadSize))
     found = {(kind, n): mae for kind, n, *mae in result.rows}
     for n in (n for kind, n in found if kind == "all"):
         important, mae = found["important", n], found["all", n]

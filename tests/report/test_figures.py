@@ -23,13 +23,14 @@ from simulation.case import Case
 from simulation.measurement import Samples
 from studies.report.drawing import Figure, with_gaps, write_png
 from studies.report.figures_calibration import (
+    band_figure,
     calibration_figure,
     calls_figure,
+    interval_figure,
     validation_figure,
 )
 from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
 from studies.report.figures_tuning import mae_over_n_figure
-from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 FIGURES: dict[str, Callable[[], Figure]] = {
@@ -132,11 +133,9 @@ def test_calibrations_that_went_badly_are_drawn(make: Callable[[], Calibration],
     assert ink(calls_figure(replace(case(), references=()), c), tmp_path / "p.png") > 0.01
 
 
-def test_the_screened_point_stands_where_the_polish_begins() -> None:
+def test_the_history_begins_where_the_polish_does() -> None:
     c = calibration()
-    figure = calls_figure(case(), c)
-    assert values(figure, "by the model, as screened", "x") == [c.history_calls[0]]
-    assert values(figure, "0.00642 K² polished", "x")[0] == c.history_calls[0]
+    assert values(calls_figure(case(), c), "0.00642 K² polished", "x")[0] == c.history_calls[0]
 
 
 def test_undeclared_uncertainty_draws_no_band() -> None:

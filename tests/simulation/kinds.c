@@ -164,10 +164,6 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean keep)
 { (void)keep; return step(c, t, h) == 2 || ((Instance *)c)->ended ? fmi2Discard : fmi2OK; }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *v)
 { *v = kind == fmi2Terminated && ((Instance *)c)->ended; return fmi2OK; }
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *s)
-{ if (!*s) *s = malloc(sizeof(Instance)); memcpy(*s, c, sizeof(Instance)); return fmi2OK; }
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate s) { memcpy(c, s, sizeof(Instance)); return fmi2OK; }
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *s) { (void)c; free(*s); *s = NULL; return fmi2OK; }
 #else
 #include "fmi3Functions.h"
 #define SETS(NAME, TYPE) \
@@ -235,8 +231,4 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     *last = *early ? t + h / 2 : t + h;
     return fmi3OK;
 }
-fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *s)
-{ if (!*s) *s = malloc(sizeof(Instance)); memcpy(*s, c, sizeof(Instance)); return fmi3OK; }
-fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState s) { memcpy(c, s, sizeof(Instance)); return fmi3OK; }
-fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *s) { (void)c; free(*s); *s = NULL; return fmi3OK; }
 #endif

@@ -22,19 +22,16 @@ DESCRIPTION_2 = SOURCE.with_name("kinds2.xml").read_text()
 DESCRIPTION_3 = SOURCE.with_name("kinds3.xml").read_text()
 
 
-def build_kinds_fmu(
-    folder: Path, *, fmi: int, again: str = "HONEST", state: bool = False, once: bool = False
-) -> Path:
+def build_kinds_fmu(folder: Path, *, fmi: int, again: str = "HONEST", once: bool = False) -> Path:
     """Pack it; skips the test where there is no C compiler.
 
-    ``again`` is one of the names in kinds.c; ``state`` and ``once`` are what the FMU says of itself.
+    ``again`` is one of the names in kinds.c; ``once`` is what the FMU says of itself.
     """
     description = DESCRIPTION_2 if fmi == 2 else DESCRIPTION_3
     platform = "linux64" if fmi == 2 else "x86_64-linux"
     path = folder / f"kinds{fmi}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
-        said = {"state": str(state).lower(), "once": str(once).lower()}
-        archive.writestr("modelDescription.xml", description.format(**said))
+        archive.writestr("modelDescription.xml", description.format(once=str(once).lower()))
         archive.writestr(f"binaries/{platform}/kinds.so", _library(fmi, again))
     return path
 
@@ -54,12 +51,12 @@ def _library(fmi: int, again: str) -> bytes:
         return library.read_bytes()
 
 
-def kinds_settings(path: Path, *, names: tuple[str, ...] = ("k", "x0"), n_warmup: int = 0, **more: object):
+def kinds_settings(path: Path, *, names: tuple[str, ...] = ("k", "x0"), **more: object):
     """Half a day at 600 s with a swinging input, looked at every 1800 s."""
     bounds = {"k": (1e-5, 1e-3), "x0": (200.0, 400.0), "f": (0.5, 2.0)}
     space = ParameterSpace(tuple(Parameter(name, *bounds[name]) for name in names))
     edges = 600.0 * np.arange(73)
-    scenario = Scenario(edges, 1e-3 * np.sin(edges[:-1, None] / 7e3), ("u",), 3, n_warmup)
+    scenario = Scenario(edges, 1e-3 * np.sin(edges[:-1, None] / 7e3), ("u",), 3)
     return FmuSettings(path, space, scenario, ("y",), np.zeros(1), **more)
 
 

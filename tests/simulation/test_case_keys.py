@@ -87,17 +87,6 @@ def test_a_row_outside_the_accepted_band_has_failed(decay_case: Path):
     assert np.isnan(answer.y[1]).all()
 
 
-def test_a_shared_warm_up_starts_from_the_expected_parameters(decay_case: Path):
-    edit(decay_case, ("[time]\n", "[time]\nshared_warmup = true\n"))
-    with pytest.raises(InputError, match=r"shared_warmup = true, but the simulation starts with the window"):
-        load_case(decay_case)
-    edit(decay_case, ("[time]\n", "[time]\nstart_d = 0\n"))
-    settings = load_case(decay_case).settings
-    # The estimate of k, the middle of mode's bounds.
-    assert settings.warmup_theta is not None
-    assert settings.warmup_theta.tolist() == [1e-4, 3.0]
-
-
 def test_validation_goes_on_where_the_window_ends(decay_case: Path):
     edit(decay_case, ("[time]\n", "[time]\nstart_d = 0\nvalidation_d = [0.8125, 1.0]\n"))
     case = load_case(decay_case)

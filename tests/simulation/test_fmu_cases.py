@@ -1,4 +1,4 @@
-"""Case files around an FMU with variables of every type: driven by switches, read inside, warmed up once."""
+"""Case files around an FMU with variables of every type: driven by switches, read inside."""
 
 from pathlib import Path
 
@@ -14,14 +14,13 @@ ROWS_PER_H = np.array([[0.36], [1.44], [0.36]])
 
 @pytest.fixture(scope="module", params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param, state=True)
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param)
 
 
-def write_case(folder: Path, fmu: Path, *, output: str = "y", shared: bool = False) -> Path:
+def write_case(folder: Path, fmu: Path, *, output: str = "y") -> Path:
     """Write a case of half a day, its inputs known every 1800 s."""
-    warm_up = "shared_warmup = true" if shared else ""
     path = folder / "case.toml"
-    path.write_text(CASE.format(fmu=fmu, output=output, shared=warm_up))
+    path.write_text(CASE.format(fmu=fmu, output=output))
     lines = ["time_s,u,on,level,y"]
     lines += [f"{1800 * i},0.001,{'true' if i % 3 else 'false'},{i % 5 - 2},300" for i in range(26)]
     (folder / "recording.csv").write_text("\n".join(lines) + "\n")
@@ -53,16 +52,6 @@ def test_switches_and_levels_follow_a_recording(fmu: Path, tmp_path: Path, outpu
     assert answer.failures == ("", "", "")
     for (k,), y in zip(ROWS_PER_H / 3600.0, answer.y[:, :, 0], strict=True):
         np.testing.assert_allclose(y, expected(np.full(24, k), 300.0)[12:], rtol=1e-12)
-
-
-def test_the_parameters_of_a_shared_warm_up_are_converted_like_all_others(fmu: Path, tmp_path: Path):
-    with load_case(write_case(tmp_path, fmu, shared=True)).open_model() as model:
-        answer = model.simulate(ROWS_PER_H)
-        assert model.way == "state"
-    assert answer.failures == ("", "", "")
-    for (k,), y in zip(ROWS_PER_H / 3600.0, answer.y[:, :, 0], strict=True):
-        by_step = np.repeat([0.72 / 3600.0, k], 12)
-        np.testing.assert_allclose(y, expected(by_step, 300.0)[12:], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ from toy_rc import ToyRC
 
 from simulation.counting import CountingModel
 from simulation.measurement import Measurement
-from studies.paper.direct import Row, minimize_from, start_points
 from studies.paper.fig8 import largest_clusters
+from studies.paper.table3 import Row, minimize_from, start_points
 
 TRUTH = np.array([[1.7, 2.3e4]])
 ROWS = [
     Row("LS-TRF", tolerance=1e-6),
-    Row("LS-TRF", is_squared=True, in_unit_cube=True),
+    Row("LS-TRF", in_unit_cube=True),
     Row("SLSQP", in_unit_cube=True),
     Row("Nelder-Mead", in_unit_cube=True, max_calls=80),
     Row("Powell", in_unit_cube=True, max_calls=300),

@@ -1,0 +1,290 @@
+"""Several experiments as one model: every row is simulated in each, and its outputs stand side by side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
+from simulation.fmi.fmu import FmuModel, FmuSettings
+from simulation.forward_model import ForwardModel
+from simulation.measurement import Measurement, Samples
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.trajectories import Trajectories
+
+Names = tuple[tuple[str, ...], tuple[str, ...]]
+MARK = "@"
+"""Between the name of an output or a parameter and that of the experiment that it belongs to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Where what belongs to an experiment stands among what belongs to all.
+
+    Attributes:
+        name: Its name.
+        parameters: Columns of its q parameters among the p of all. Shape (q,).
+        outputs: Columns of its l outputs among the k of all. Shape (l,).
+        n_times: How many of the output times it has, from the first on.
+    """
+
+    name: str
+    parameters: IntArray
+    outputs: IntArray
+    n_times: int
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """How rows of several experiments become one.
+
+    All begin at time 0. A shorter experiment keeps its last values until the longest ends: they are not
+    compared with anything.
+
+    Attributes:
+        parameter_names: Names of the p parameters of all experiments.
+        output_names: Names of the k outputs of all experiments.
+        time: Output times of the longest. Shape (t,). [s]
+        experiments: The experiments.
+    """
+
+    parameter_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    time: FloatArray
+    experiments: tuple[Experiment, ...]
+
+    def theta_of(self, experiment: Experiment, theta: FloatArray) -> FloatArray:
+        """Return an experiment's own parameters. Shapes (n, p) and (n, q). [per parameter]."""
+        return np.ascontiguousarray(theta[:, experiment.parameters])
+
+    def part(
+        self, experiment: Experiment, rows: Trajectories, names: Names, time: FloatArray
+    ) -> Trajectories:
+        """Return what rows are in one experiment.
+
+        Args:
+            experiment: The experiment.
+            rows: Rows of all experiments.
+            names: Its parameters and outputs.
+            time: Its output times. Shape (t,). [s]
+        """
+        y = np.ascontiguousarray(rows.y[:, : experiment.n_times, experiment.outputs])
+        return Trajectories(self.theta_of(experiment, rows.theta), y, time, *names, rows.failures)
+
+    def join(self, theta: FloatArray, answers: Sequence[Trajectories]) -> Trajectories:
+        """Put the answers of all experiments side by side.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+            answers: Each experiment's answer to its part of the same rows.
+
+        Returns:
+            The rows; one that failed in an experiment is a failed one.
+        """
+        y = np.empty((len(theta), len(self.time), len(self.output_names)))
+        reasons = [""] * len(theta)
+        for one, answer in zip(self.experiments, answers, strict=True):
+            y[:, : one.n_times, one.outputs] = answer.y
+            y[:, one.n_times :, one.outputs] = answer.y[:, -1:]
+            for row, reason in enumerate(answer.failures):
+                reasons[row] = reasons[row] or (reason and f"experiment {one.name}: {reason}")
+        return Trajectories.checked(
+            theta,
+            y,
+            time=self.time,
+            parameter_names=self.parameter_names,
+            output_names=self.output_names,
+            failures=reasons,
+        )
+
+
+def joined_measurement(
+    layout: Layout, measurements: Sequence[Measurement], weights: Sequence[float]
+) -> Measurement:
+    """Put the measurements of all experiments side by side.
+
+    Args:
+        layout: How they become one.
+        measurements: Each experiment's own.
+        weights: Share of each experiment's outputs relative to the others'. [1]
+    """
+    samples = list[Samples]()
+    for one in measurements:
+        begin_s, length_s = one.time[0], one.time[-1] - one.time[0]
+        samples += (
+            Samples(np.clip(series.time - begin_s, 0.0, length_s), series.values) for series in one.samples
+        )
+    return Measurement(
+        layout.time,
+        tuple(samples),
+        layout.output_names,
+        uncertainty=np.concatenate([one.uncertainty for one in measurements]),
+        weights=np.concatenate([one.weights * w for one, w in zip(measurements, weights, strict=True)]),
+        lasts_s=np.concatenate([one.error_lasts_s for one in measurements]),
+        losses=tuple(one.loss_of(k) for one in measurements for k in range(len(one.samples))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentRows:
+    """Rows of any experiment, for one pool of processes: the first column of theta says of which.
+
+    The other columns are the parameters of all experiments; those of others are not looked at.
+
+    Attributes:
+        layout: How rows of several experiments become one.
+        settings: How each experiment's model is opened.
+    """
+
+    layout: Layout
+    settings: tuple[FmuSettings, ...]
+
+    @property
+    def path(self) -> str:
+        """What errors about opening the models are about."""
+        return str(self.settings[0].path)
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The experiment's place and the parameters; the bounds mean nothing."""
+        names = ("experiment", *self.layout.parameter_names)
+        return ParameterSpace(tuple(Parameter(name, 0.0, 1.0) for name in names))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Places of the outputs of the experiment with the most."""
+        return tuple(str(k) for k in range(max(len(one.outputs) for one in self.layout.experiments)))
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times of the longest experiment. Shape (t,). [s]."""
+        return self.layout.time
+
+    def rows(self, theta: FloatArray, experiment: int) -> FloatArray:
+        """Return rows of one experiment. Shapes (n, p) and (n, 1 + p)."""
+        return np.column_stack([np.full(len(theta), float(experiment)), theta])
+
+    def answer(self, rows: Trajectories, experiment: int) -> Trajectories:
+        """Return what answers say of an experiment, as its own model would.
+
+        Args:
+            rows: Answers to rows of this experiment.
+            experiment: Its place.
+        """
+        one, settings = self.layout.experiments[experiment], self.settings[experiment]
+        return Trajectories(
+            self.layout.theta_of(one, rows.theta[:, 1:]),
+            np.ascontiguousarray(rows.y[:, : one.n_times, : len(one.outputs)]),
+            settings.scenario.time,
+            settings.parameter_space.names,
+            settings.output_names,
+            rows.failures,
+        )
+
+    def open(self) -> "ExperimentsModel":
+        """Open the models; the bound method is the factory that worker processes are given."""
+        return ExperimentsModel(self)
+
+
+class ExperimentsModel:
+    """The models of several experiments in one process, each opened when it is first asked."""
+
+    def __init__(self, rows: ExperimentRows) -> None:
+        """Open the first model, so that what cannot be opened is said at once.
+
+        Args:
+            rows: What may be asked.
+        """
+        self._rows = rows
+        self._models: dict[int, FmuModel] = {}
+        self._model(0)
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The experiment's place and the parameters."""
+        return self._rows.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Places of the outputs."""
+        return self._rows.output_names
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """Output times of the longest experiment. Shape (t,). [s]."""
+        return self._rows.time
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row in the experiment that it names.
+
+        Args:
+            theta: Place of the experiment and parameters. Shape (n, 1 + p).
+
+        Returns:
+            The trajectories; what an experiment does not have is 0.
+        """
+        layout, names = self._rows.layout, self.output_names
+        y, reasons = np.zeros((len(theta), len(self.time), len(names))), list[str]()
+        for row, (place, *values) in enumerate(theta):
+            one = layout.experiments[int(place)]
+            answer = self._model(int(place)).simulate(layout.theta_of(one, np.array([values])))
+            y[row, : one.n_times, : len(one.outputs)] = answer.y[0]
+            reasons += answer.failures
+        return Trajectories.checked(
+            theta,
+            y,
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=names,
+            failures=reasons,
+        )
+
+    def close(self) -> None:
+        """Close the models."""
+        for model in self._models.values():
+            model.close()
+
+    def _model(self, place: int) -> FmuModel:
+        if place not in self._models:
+            self._models[place] = self._rows.settings[place].open()
+        return self._models[place]
+
+
+class JoinedModel:
+    """Several experiments as one forward model, around a model that answers rows of any experiment."""
+
+    def __init__(self, model: ForwardModel, rows: ExperimentRows, space: ParameterSpace) -> None:
+        """Wrap a model.
+
+        Args:
+            model: Answers rows of `ExperimentRows`, a pool for instance.
+            rows: Which rows those are.
+            space: Parameters of all experiments.
+        """
+        self.model, self.rows = model, rows
+        self.parameter_space = space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs of all experiments."""
+        return self.rows.layout.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times of the longest experiment. Shape (t,). [s]."""
+        return self.rows.layout.time
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row in every experiment, side by side.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+        """
+        places = range(len(self.rows.layout.experiments))
+        answer = self.model.simulate(np.concatenate([self.rows.rows(theta, place) for place in places]))
+        n = len(theta)
+        parts = [
+            self.rows.answer(answer.take(np.arange(place * n, (place + 1) * n)), place) for place in places
+        ]
+        return self.rows.layout.join(theta, parts)

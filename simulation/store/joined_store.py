@@ -1,0 +1,240 @@
+"""The rows of several experiments as those of one store: each lies in the store of its own model."""
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from simulation.arrays import BoolArray, FloatArray
+from simulation.errors import InputError
+from simulation.experiments import Experiment, JoinedModel, Layout
+from simulation.pool.pool_model import PoolModel
+from simulation.store.store import BLOCK_BYTES, SimulationStore
+from simulation.store.stored_model import StoredModel
+from simulation.trajectories import Trajectories
+from simulation.whole_file import whole_file
+
+
+class JoinedStore(SimulationStore):
+    """Keeps rows of several experiments; a row is stored where all its parts are.
+
+    It has no database of its own: its file names the stores of the experiments, relative to its own place.
+    """
+
+    def __init__(self, file: Path, stores: Sequence[SimulationStore], layout: Layout) -> None:
+        """Take open stores.
+
+        Args:
+            file: Where the names of the stores lie.
+            stores: Those of the experiments.
+            layout: How their rows become one.
+        """
+        self._file = Path(file)
+        self.stores = tuple(stores)
+        self.layout = layout
+
+    @classmethod
+    def at(cls, file: Path) -> Self:
+        """Open a store that exists.
+
+        Args:
+            file: What `save` wrote.
+
+        Raises:
+            InputError: If there is none, or one of the experiments' stores is missing.
+        """
+        try:
+            content = json.loads(Path(file).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(f"{file}: no simulations are stored there; type: studies simulate") from None
+        parts = content["experiments"]
+        layout = Layout(
+            tuple(content["parameters"]),
+            tuple(content["outputs"]),
+            np.array(content["time_s"]),
+            tuple(
+                Experiment(
+                    one["name"],
+                    np.array(one["parameters"], dtype=np.int64),
+                    np.array(one["outputs"], dtype=np.int64),
+                    one["n_times"],
+                )
+                for one in parts
+            ),
+        )
+        with ExitStack() as opened:
+            stores = [
+                opened.enter_context(SimulationStore.at(Path(file).parent / one["store"])) for one in parts
+            ]
+            opened.pop_all()
+        return cls(file, stores, layout)
+
+    def save(self) -> None:
+        """Write which stores these are; nothing where it is written already."""
+        layout = self.layout
+        content: dict[str, Any] = {
+            "parameters": layout.parameter_names,
+            "outputs": layout.output_names,
+            "time_s": layout.time.tolist(),
+            "experiments": [
+                {
+                    "name": one.name,
+                    "store": Path(os.path.relpath(store.file, self.file.parent)).as_posix(),
+                    "parameters": one.parameters.tolist(),
+                    "outputs": one.outputs.tolist(),
+                    "n_times": one.n_times,
+                }
+                for one, store in zip(layout.experiments, self.stores, strict=True)
+            ],
+        }
+        if not self.file.is_file():
+            with whole_file(self.file) as stream:
+                stream.write(json.dumps(content).encode())
+
+    @property
+    def theta(self) -> FloatArray:
+        """Parameters of rows that all experiments have. Shape (n, p). [per parameter].
+
+        What an experiment has of its own is taken as it was written, beside others of the same shared values.
+        """
+        known: dict[bytes, list[FloatArray]] = {}
+        shared = self._shared
+        for place, (one, store) in enumerate(zip(self.layout.experiments, self.stores, strict=True)):
+            where = [int(np.flatnonzero(one.parameters == column)[0]) for column in shared]
+            for theta in store.theta:
+                parts = known.setdefault(theta[where].tobytes(), [])
+                if len(parts) == place:
+                    parts.append(theta)
+        whole = [parts for parts in known.values() if len(parts) == len(self.stores)]
+        joined = np.empty((len(whole), len(self.layout.parameter_names)))
+        for row, parts in enumerate(whole):
+            for one, theta in zip(self.layout.experiments, parts, strict=True):
+                joined[row, one.parameters] = theta
+        return joined
+
+    @property
+    def _shared(self) -> list[int]:
+        """Columns of the parameters that all experiments have."""
+        columns = [set(one.parameters.tolist()) for one in self.layout.experiments]
+        return sorted(set.intersection(*columns))
+
+    @property
+    def n_written(self) -> int:
+        """Number of the rows that were written, of all experiments."""
+        return sum(store.n_written for store in self.stores)
+
+    def find(self, theta: FloatArray, *, failed_after: int = 0) -> BoolArray:
+        """Return which rows all experiments have, see `SimulationStore.find`."""
+        parts = zip(self.layout.experiments, self.stores, strict=True)
+        found = [
+            store.find(self.layout.theta_of(one, theta), failed_after=failed_after) for one, store in parts
+        ]
+        return np.asarray(np.all(found, axis=0))
+
+    def read(self, theta: FloatArray) -> Trajectories:
+        """Read rows, see `SimulationStore.read`."""
+        parts = zip(self.layout.experiments, self.stores, strict=True)
+        answers = [store.read(self.layout.theta_of(one, theta)) for one, store in parts]
+        return self.layout.join(np.array(theta, dtype=np.float64), answers)
+
+    def append(self, rows: Trajectories) -> None:
+        """Store rows, part by part: what an experiment has already is not written again."""
+        for one, store in zip(self.layout.experiments, self.stores, strict=True):
+            parts = self.layout.part(one, rows, store.names, store.time)
+            is_new = ~store.find(parts.theta) | (~store.find_good(parts.theta) & ~parts.failed)
+            store.append(parts.take(is_new))
+
+    def stream(self, theta: FloatArray) -> Iterator[Trajectories]:
+        """Read rows block by block, in bounded memory, see `SimulationStore.stream`."""
+        size = max(1, BLOCK_BYTES // max(1, 8 * len(self.layout.time) * len(self.layout.output_names)))
+        for start in range(0, len(theta), size):
+            yield self.read(theta[start : start + size])
+
+    def close(self) -> None:
+        """Close the stores."""
+        for store in self.stores:
+            store.close()
+
+
+def store_at(file: Path) -> SimulationStore:
+    """Open a store that exists, of one model or of several experiments.
+
+    Args:
+        file: Where it lies.
+
+    Raises:
+        InputError: If there is none.
+    """
+    return JoinedStore.at(file) if Path(file).suffix == ".json" else SimulationStore.at(file)
+
+
+class StoredExperiments(StoredModel):
+    """Several experiments around their stores: a row that an experiment has is not simulated in it again.
+
+    The experiments that a row lacks are simulated side by side.
+    """
+
+    def __init__(self, model: JoinedModel, store: JoinedStore, *, retry_failed: bool = False) -> None:
+        """Wrap a model.
+
+        Args:
+            model: The model to ask; its rows come from a pool.
+            store: Where its answers lie.
+            retry_failed: Ask again, once, for rows that failed before this object was made.
+        """
+        super().__init__(model, store, retry_failed=retry_failed)
+        self._joined, self._joined_store = model, store
+        self._retry = [one.n_written if retry_failed else 0 for one in store.stores]
+
+    def missing(self, theta: FloatArray) -> BoolArray:
+        """Return which rows lack an experiment. Shapes (n, p) and (n,)."""
+        return np.asarray(np.any([self._missing(place, theta) for place in self._places], axis=0))
+
+    @property
+    def _places(self) -> range:
+        return range(len(self._joined_store.stores))
+
+    def _missing(self, place: int, theta: FloatArray) -> BoolArray:
+        one, store = self._joined_store.layout.experiments[place], self._joined_store.stores[place]
+        own = self._joined_store.layout.theta_of(one, theta)
+        return ~store.find(own, failed_after=self._retry[place])
+
+    def complete(self, theta: FloatArray, *, on_progress: Callable[[int], None] | None = None) -> None:
+        """Simulate what is not stored, and store each part of a row as it finishes.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+            on_progress: Called with the number of rows that are stored so far.
+        """
+        theta = np.array(theta, dtype=np.float64)
+        rows, wanted = self._joined.rows, list[FloatArray]()
+        for place in self._places:
+            one = rows.layout.experiments[place]
+            missing = theta[self._missing(place, theta)]
+            # Each missing part once, by the exact bytes of the experiment's own parameters.
+            parts = {row[one.parameters].tobytes(): row for row in missing}
+            wanted.append(rows.rows(np.array([*parts.values()]).reshape(-1, theta.shape[1]), place))
+        asked, n_parts = np.concatenate(wanted), len(theta) * len(self._places)
+        n_stored = n_parts - len(asked)
+        n_new = int(self.missing(theta).sum())
+        self.n_reused += len(theta) - n_new
+        self.n_simulated += n_new
+        if on_progress is not None:
+            on_progress(n_stored // len(self._places))
+        if not len(asked):
+            return
+        pool = self._joined.model
+        assert isinstance(pool, PoolModel), "rows of experiments come from a pool"
+        with closing(pool.as_finished(asked)) as chunks:
+            for _, chunk in chunks:
+                places = chunk.theta[:, 0].astype(np.int64)
+                for place in np.unique(places):
+                    part = rows.answer(chunk.take(places == place), int(place))
+                    self._joined_store.stores[place].append(part)
+                n_stored += chunk.n
+                if on_progress is not None:
+                    on_progress(n_stored // len(self._places))

@@ -1,0 +1,80 @@
+"""Pairs of parameters that keep their order, whatever samples or moves them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulation.arrays import FloatArray
+from simulation.design import spread_design, uniform_design
+from simulation.errors import InputError
+from simulation.parameters import Parameter, ParameterSpace
+
+SPACE = ParameterSpace(
+    (
+        Parameter("large", 1.0, 50.0, scale="log"),
+        Parameter("small", 0.5, 100.0, scale="log"),
+        Parameter("middle", 2.0, 20.0),
+        Parameter("free", -1.0, 1.0),
+    ),
+    (("small", "middle"), ("middle", "large"), ("small", "large")),
+)
+
+
+def keeps_order(theta: FloatArray) -> bool:
+    large, small, middle, _ = theta.T
+    return bool((small <= middle).all() and (middle <= large).all())
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-0.5, 1.5), min_size=4, max_size=4))
+def test_every_point_of_the_cube_keeps_them(point: list[float]) -> None:
+    theta = SPACE.from_unit(np.array([point]))
+
+    assert keeps_order(theta)
+    assert SPACE.contains(theta).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(0.01, 0.99), min_size=4, max_size=4))
+def test_cube_and_parameters_are_mapped_both_ways(point: list[float]) -> None:
+    u = np.array([point])
+
+    np.testing.assert_allclose(SPACE.to_unit(SPACE.from_unit(u)), u, rtol=0.0, atol=1e-9)
+
+
+def test_designs_keep_them_and_are_nested() -> None:
+    some, more = uniform_design(SPACE, 16, 3), uniform_design(SPACE, 200, 3)
+
+    assert keeps_order(more)
+    np.testing.assert_array_equal(more[:16], some)
+    assert keeps_order(spread_design(SPACE, 50, 0.9, 1))
+
+
+def test_a_design_without_constraints_is_as_before() -> None:
+    box = ParameterSpace(SPACE.parameters)
+    draw = 2.0 * np.random.default_rng(3).random((8, 4)) - 1.0
+    middle, reach = (box.lower + box.upper) / 2, (box.upper - box.lower) / 2
+
+    np.testing.assert_array_equal(
+        uniform_design(box, 8, 3), np.clip(middle + reach * draw, box.lower, box.upper)
+    )
+
+
+def test_single_parameters_move_as_far_as_the_others_let_them() -> None:
+    lower, upper = SPACE.ends(np.array([10.0, 1.0, 5.0, 0.0]))
+
+    np.testing.assert_array_equal(lower, [5.0, 0.5, 2.0, -1.0])
+    np.testing.assert_array_equal(upper, [50.0, 5.0, 10.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ((("large", "small"), ("small", "large")), "contradicts others"),
+        ((("free", "middle"), ("large", "free")), "no values within the bounds"),
+    ],
+)
+def test_what_nothing_can_keep_is_refused(pairs: tuple[tuple[str, str], ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        ParameterSpace(SPACE.parameters, pairs).from_unit(np.zeros((1, 4)))
