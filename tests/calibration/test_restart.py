@@ -8,7 +8,7 @@ from problems_for_tests import rc_problem
 from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
+from studies.calibration.expected_objective import expected_objective, is_surely_no_better
 from studies.calibration.residual_process import Expansion, Features, ResidualProcess
 from studies.calibration.restart import least_excluded
 
@@ -46,19 +46,3 @@ def test_a_known_row_is_surely_no_better_than_itself_and_an_unknown_place_may_be
     for point, is_sure in ((u[best], True), (np.array([0.9, 0.9]), False)):
         expected = expected_objective(process, None, point, 0.1)
         assert is_surely_no_better(process, point, expected, objective) is is_sure
-
-
-@pytest.mark.parametrize(
-    ("found", "predicted", "favourite", "best", "expected"),
-    [
-        (1.0, 1.0, 1.0, 1.0, False),
-        (9.0, 1.0, 1.0, 1.0, True),  # It has erred.
-        (9.0, 2.0, 1.0, 1.0, False),  # A point that it did not like.
-        (np.inf, 1.0, 1.0, 1.0, False),
-        (2.0, 2.0, 2.0, 1.0, True),  # It does not know the best row.
-    ],
-)
-def test_a_surprise_is_a_favourite_that_fails_or_a_best_row_that_is_not_known(
-    found: float, predicted: float, favourite: float, best: float, expected: bool
-) -> None:
-    assert is_surprised(found, predicted, favourite, best) is expected

@@ -1,8 +1,7 @@
 """Differential evolution: the traps of its vectorized form, its population, its ends."""
 
-import numpy as np
 import pytest
-from problems_for_tests import Diary, product_problem, rc_problem
+from problems_for_tests import Diary, rc_problem
 
 from simulation.errors import InputError
 from studies.calibration.screen import DifferentialEvolution
@@ -23,14 +22,6 @@ def test_there_is_no_hidden_polish_after_the_last_generation() -> None:
     result = DifferentialEvolution(popsize=8, maxiter=500).minimize(problem.on(diary), seed=0)
     assert result.converged
     assert {len(batch) for batch in diary.batches} == {16}
-
-
-def test_the_population_is_sorted_and_its_errors_are_true() -> None:
-    problem = product_problem()
-    result = DifferentialEvolution(maxiter=10).minimize(problem, seed=0)
-    assert (np.diff(result.population_objective) >= 0).all()
-    np.testing.assert_allclose(problem.mse(result.population_u), result.population_objective, rtol=1e-12)
-    assert result.population_objective[0] == result.mse
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from problems_for_tests import problem_on
 
 from simulation.arrays import FloatArray
-from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.robust_loss import RobustLoss
 from simulation.trajectories import Trajectories
@@ -64,22 +63,6 @@ def test_a_flat_line_at_the_mean_explains_nothing() -> None:
     window = TruncatedWindow(problem.measurement)
     assert window.unexplained(measured.mean() - measured) == pytest.approx(1.0)
     assert window.unexplained(0.1 * (measured.mean() - measured)) == pytest.approx(0.01)
-
-
-def test_an_output_that_varies_less_than_its_sensor_errs_counts_only_alone() -> None:
-    time = np.linspace(0.0, 1.0, 50)
-    noise = 0.1 * np.random.default_rng(0).standard_normal(time.size)
-
-    def unexplained(*outputs: FloatArray) -> float:
-        y, names = np.stack(outputs, axis=1), ("room", "power")[: len(outputs)]
-        measurement = Measurement.on_grid(time, y, names, np.full(len(outputs), 0.2))
-        wrong = y * np.array([1.0, 1.1])[: len(outputs)]
-        wrong[:, 0] = 20.0
-        return TruncatedWindow(measurement).unexplained(measurement.compared(wrong[None])[0])
-
-    assert unexplained(20.0 + noise) > 0.9
-    power = 10.0 * np.sin(time)
-    assert unexplained(20.0 + noise, power) == pytest.approx(np.mean((0.1 * power) ** 2) / power.var())
 
 
 def test_finds_a_frequency_among_its_many_valleys() -> None:

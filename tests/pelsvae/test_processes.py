@@ -115,11 +115,3 @@ def test_cuda_fits_and_predicts_like_the_cpu(n: int, tmp_path: Path) -> None:
     again = load_surrogate(tmp_path, device="cpu")
     assert again.predict(theta) == pytest.approx(cuda.predict(theta), rel=1e-6)
     assert cuda.jacobian(theta[0]).shape == cpu.jacobian(theta[0]).shape
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_next_to_nothing_to_learn_from(n: int) -> None:
-    theta, y = rc_step(n, seed=1)
-    surrogate = fit(theta, y, rc_step(5, seed=2), config=PROCESSES, seed=0).surrogate
-    assert np.isfinite(surrogate.predict(rc_step(5, seed=3)[0])).all()
-    np.testing.assert_allclose(surrogate.predict(theta), y, rtol=1e-2)

@@ -31,8 +31,6 @@ from studies.report.tables import (
     calibrations_table,
     intervals_table,
     parameters_table,
-    sensitivity_table,
-    tuning_table,
 )
 from studies.report.wording import (
     count,
@@ -219,26 +217,6 @@ def test_parameters_table_flags_the_bounds() -> None:
         near = np.where(box.is_log, box.lower * (box.upper / box.lower) ** share, linear)
         at = replace(c, theta=dict(zip(box.names, near.tolist(), strict=True)))
         assert column(parameters_table(whole, at), "") == [said] * 14
-
-
-def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
-    data, indices = report_data(), sensitivity()
-    tuning, sobol = tuning_table(data.tuned), sensitivity_table(indices)
-    assert tuning is not None
-    all_trials = data.trials
-    assert all_trials is not None
-    assert column(tuning, "n_train") == [f"{n:,}" for n in sorted({*all_trials.n_train.tolist()})]
-    best = np.flatnonzero(all_trials.is_best)
-    assert column(tuning, "MAE") == [significant(value) for value in all_trials.test_mae[best]]
-    assert column(tuning, "P90") == [significant(value) for value in all_trials.test_p90[best]]
-    assert column(tuning, "n_latent") == [f"{one.params['n_latent']:,}" for one in data.tuned]
-    assert column(tuning, "PCA+GP MAE") == [significant(one.baseline["test/mae"]) for one in data.tuned]
-    assert set(column(tuning, "PCA+GP P90")) == {"–"}
-    assert column(tuning, "gain")[0] == "–"
-    firsts = list(map(float, column(sobol, "first order")))
-    assert firsts == sorted(firsts, reverse=True)
-    assert firsts[0] == pytest.approx(np.nanmean(indices.first_order[:, 0], axis=0).max(), abs=5e-4)
-    assert tuning_table(()) is None
 
 
 def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from case_for_tests import edit
 
 from simulation import InputError, load_case
-from simulation.recording import read_recording
 
 DAY = 86400
 
@@ -145,13 +144,3 @@ def test_what_a_clock_change_makes_of_a_clock_is_reported(decay_case: Path):
     stamped(decay_case, [*shifted[:5], *shifted[4:-1]])
     with pytest.raises(InputError, match=r"repeats the line above .* sort the rows and drop duplicates$"):
         load_case(decay_case)
-
-
-@pytest.mark.parametrize(("unit", "length_s"), [("s", 1), ("min", 60), ("h", 3600), ("d", 86400)])
-def test_times_may_count_other_units_than_seconds(tmp_path: Path, unit: str, length_s: int):
-    file = tmp_path / "room.csv"
-    for name in (f"Zeit [{unit}]", f"Zeit ({unit})"):
-        file.write_text(f"{name};T\n0,5;20\n1,5;21\n2,5;22\n", encoding="utf-8")
-        found = read_recording(file, ["T"], time_column=name)
-        np.testing.assert_allclose(found.time, np.array([0.5, 1.5, 2.5]) * length_s)
-        assert found.clock == "seconds"

@@ -262,30 +262,6 @@ def test_too_few_calls_are_refused_in_one_line():
         sampling_within(20, 14)
 
 
-def test_what_was_known_before_is_no_merit_of_the_data():
-    space = ParameterSpace(tuple(Parameter(name, lower=0.0, upper=1.0) for name in "abcd"))
-    width = np.array([0.02, 0.02, 0.02, np.inf])
-    prior = Prior(np.array([0.5, 0.5, 0.0, np.nan]), width, 1.0, 1)
-    rng = np.random.default_rng(0)
-    u = 0.5 + np.array([0.02, 0.004, 0.02, 0.02]) * rng.standard_normal((4000, 4))
-    u[:, 2] = np.abs(u[:, 2] - 0.5)
-    assert knowledge(space, u, prior) == {"a": "prior", "b": "determined", "c": "prior", "d": "determined"}
-
-
-def around(model, theta):
-    """What the residuals around a point determine."""
-    problem = posed(model, theta)
-    answer = problem.evaluate(difference_rows(problem.space.to_unit(np.array(theta)), 0.01))
-    return judged(model.parameter_space.names, answer, SIGMA, 0.01)
-
-
-def test_a_parameter_that_fails_on_one_side_is_judged_by_the_other():
-    whole = line()
-    cut = replace(whole, f=lambda theta, t: np.where(theta[0] > 0.31, np.nan, theta[0] + theta[1] * t))
-    assert around(cut, [0.3, -0.4]).spread == pytest.approx(around(whole, [0.3, -0.4]).spread)
-    assert around(cut, [0.3, -0.4]).null_directions == ()
-
-
 def test_where_simulations_fail_few_are_asked():
     # The best offset is 0.503, and above 0.5 every simulation fails.
     cut = replace(line(), f=lambda theta, t: np.where(theta[0] <= 0.5, theta[0] + theta[1] * t, np.nan))

@@ -87,20 +87,6 @@ def test_the_default_lies_inside_the_usual_space(surrogate: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("declared", "message"),
-    [
-        ({"kind": "categorical"}, "has choices and no low and high"),
-        ({"kind": "float", "low": 2.0, "high": 1.0}, r"low = 2\.0 is larger than high = 1\.0"),
-        ({"kind": "float", "low": 0.0, "high": 1.0, "log": True}, "log = true needs low > 0"),
-        ({"kind": "int", "low": 1.5, "high": 3}, "are whole numbers"),
-    ],
-)
-def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        SearchParameter(**declared)
-
-
-@pytest.mark.parametrize(
     ("search", "more", "message"),
     [
         ('n_trees = { kind = "int", low = 1, high = 2 }', "", "search.n_trees has no effect on surrogate"),
