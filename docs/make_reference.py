@@ -25,7 +25,7 @@ from studies import profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.report.records_tuning import TunedSize  # noqa: E402
-from studies.stages import prediction, stage_results  # noqa: E402
+from studies.stages import stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
@@ -70,7 +70,7 @@ DOCUMENTS = {
     "An entry of parameters of an uncertainty": stage_results.Known,
     "sample of an uncertainty": stage_results.SampleFound,
     "ledger of an uncertainty": stage_results.Cost,
-    "An entry of stages (predict)": prediction.Prediction,
+    "An entry of stages (predict)": stage_results.Prediction,
 }
 
 

@@ -5,15 +5,11 @@ same numbers, the same files. What is finished is reused, and what was interrupt
 """
 
 import shlex
-import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from html import escape
-from importlib import import_module
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,59 +18,12 @@ from simulation.case import Case
 from simulation.case import load_case as load_case_file
 from simulation.time_unit import unit_for
 from studies.cli import build_parser, command_module
-from studies.console import Console, OnBar
+from studies.console import Console
 from studies.environment import check_surroundings
-from studies.interrupts import interrupts_kept
 from studies.paths import find_case, find_project
 from studies.report.wording import axis_label, quantity, square_of
 from studies.stages.pipeline import Outcome, StageError, Study
 from studies.stages.stage_results import Calibration
-
-Size = int | Sequence[int]
-_REDRAW_EVERY_S = 0.2
-
-
-class Options(TypedDict, total=False):
-    """Keywords that all three functions take; the reference of the command line explains each of them."""
-
-    seed: int
-    jobs: int
-    profile: str | Path
-    window: str
-    surrogate: str
-    retry_failed: bool
-    dask: str
-    storage: str
-    quiet: bool
-
-
-class TuneOptions(Options, total=False):
-    """Keywords of `tune`."""
-
-    n_train: Size
-    trials: int
-    parallel: int
-    max_hours: float
-
-
-class RunOptions(TuneOptions, total=False):
-    """Keywords of `run`."""
-
-    max_calls: int
-    again: bool
-
-
-class CalibrateOptions(Options, total=False):
-    """Keywords of `calibrate`."""
-
-    method: str
-    n_train: Size
-    parallel: int
-    from_stored: bool
-    state_equations: bool
-    target: float
-    max_calls: int
-    again: bool
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,12 +92,12 @@ class CalibrationResult:
             yield f"Note: {self.note}"
 
 
-def run(case: str | Path = "office", **options: Unpack[RunOptions]) -> CalibrationResult:
+def run(case: str | Path = "office", **options: Any) -> CalibrationResult:
     """Do all stages of a study in order, as `studies run`, and skip finished ones.
 
     Args:
         case: Name, file or folder of a case.
-        options: As on the command line: `n_train=[32, 64]` is `--n-train 32 64`.
+        options: Those of the command line: `n_train=[32, 64]` is `--n-train 32 64`.
 
     Returns:
         The calibration of least error. `calibrate(case, n_train=64)` then returns that of a size, and
@@ -161,12 +110,12 @@ def run(case: str | Path = "office", **options: Unpack[RunOptions]) -> Calibrati
     return _best_of(*_done("run", case, options))
 
 
-def tune(case: str | Path = "office", **options: Unpack[TuneOptions]) -> pd.DataFrame:
+def tune(case: str | Path = "office", **options: Any) -> pd.DataFrame:
     """Tune one surrogate per training-set size with Optuna, as `studies tune`.
 
     Args:
         case: Name, file or folder of a case.
-        options: As on the command line: `n_train=[32, 64]` is `--n-train 32 64`.
+        options: Those of the command line: `n_train=[32, 64]` is `--n-train 32 64`.
 
     Returns:
         A row per size with the fields of `studies best --json`, among them the hyperparameters `params`, the
@@ -180,12 +129,12 @@ def tune(case: str | Path = "office", **options: Unpack[TuneOptions]) -> pd.Data
     return pd.DataFrame(map(asdict, outcomes[-1].result.studies)).set_index("n_train")
 
 
-def calibrate(case: str | Path = "office", **options: Unpack[CalibrateOptions]) -> CalibrationResult:
+def calibrate(case: str | Path = "office", **options: Any) -> CalibrationResult:
     """Find the parameters that fit the measurement best, as `studies calibrate`.
 
     Args:
         case: Name, file or folder of a case.
-        options: As on the command line: `max_calls=60` is `--max-calls 60`.
+        options: Those of the command line: `max_calls=60` is `--max-calls 60`.
 
     Returns:
         The calibration; with several sizes in `n_train` the one of least error.
@@ -215,9 +164,8 @@ def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[S
     chosen = build_parser().parse_args(words)
     chosen.typed = shlex.join(["studies", *words])
     console = _Listener(quiet=chosen.quiet)
-    with interrupts_kept():
-        check_surroundings()
-        code = command_module(command).run(chosen, console)
+    check_surroundings()
+    code = command_module(command).run(chosen, console)
     ((study, outcomes),) = console.done
     if code:
         raise StageError(f"{study.label}: studies check {case} found errors; type it, it says which")
@@ -226,9 +174,9 @@ def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[S
 
 def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
     """Give keywords as the words of the command line."""
-    known = {"run": RunOptions, "tune": TuneOptions, "calibrate": CalibrateOptions}[command]
+    known = vars(build_parser().parse_args([command])).keys() - {"command", "case", "json", "dry_run"}
     for name, value in options.items():
-        if name not in known.__annotations__:
+        if name not in known:
             raise TypeError(f"{command}() got an unexpected keyword argument {name!r}")
         option = name.replace("_", "-")
         if value is False and name == "state_equations":
@@ -249,23 +197,20 @@ def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResul
 
 def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
     case, found, series = study.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
-    at, judged = case.measurement.time, found.determined_by_data
+    at, judged, space = case.measurement.time, found.determined_by_data, case.parameter_space
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
         series[output.name, "measured"] = pd.Series(samples.values, samples.time)
         series[output.name, "calibrated"] = pd.Series(np.interp(every, at, found.y[:, k]), every)
-    rows = {
-        one.name: (
-            found.theta[one.name],
-            one.unit,
-            one.lower,
-            one.upper,
-            None if judged is None else one.name not in judged.open,
-        )
-        for one in case.parameter_space.parameters
-    }
-    columns = ["value", "unit", "lower", "upper", "determined"]
-    theta = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    theta = pd.DataFrame(
+        {
+            "value": found.theta,
+            "unit": found.units,
+            "lower": dict(zip(space.names, space.lower.tolist(), strict=True)),
+            "upper": dict(zip(space.names, space.upper.tolist(), strict=True)),
+            "determined": {name: judged and name not in judged.open for name in space.names},
+        }
+    )
     return CalibrationResult(
         name=f"{study.label}/{outcome.name}",
         theta=theta.rename_axis("parameter"),
@@ -282,37 +227,10 @@ def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
 
 @dataclass(frozen=True)
 class _Listener(Console):
-    """Keeps what a command came to, and draws its progress in a notebook as on a terminal."""
+    """Keeps what a command came to."""
 
     as_json: bool = True
     done: list[Any] = field(default_factory=list)
 
     def document(self, content: dict[str, Any], of: Any = None) -> None:
         self.done.append(of)
-
-    @contextmanager
-    def bars(self) -> Iterator[OnBar]:
-        if self.quiet or not _is_notebook():
-            with super().bars() as show:
-                yield show
-            return
-        display = import_module("IPython.display")
-        shown, bars, drawn_at = display.display(display.HTML(""), display_id=True), dict[str, str](), 0.0
-
-        def draw(what: str, done: float, total: float, news: str = "") -> None:
-            nonlocal drawn_at
-            bars[what] = f'<progress value="{done}" max="{total}"></progress> {escape(what + news)}'
-            if time.monotonic() - drawn_at > _REDRAW_EVERY_S:
-                shown.update(display.HTML("<br>".join(bars.values())))
-                drawn_at = time.monotonic()
-
-        try:
-            yield draw
-        finally:
-            shown.update(display.HTML(""))
-
-
-def _is_notebook() -> bool:
-    """Say whether this process is the kernel of a notebook."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return hasattr(shell, "kernel")

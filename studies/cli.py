@@ -26,7 +26,6 @@ from simulation.pool.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
 from studies.environment import check_surroundings, explain
-from studies.interrupts import interrupt_handled, interrupts_kept, is_interrupt
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
@@ -80,23 +79,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
     chosen.typed = shlex.join(["studies", *(word for word in arguments if word not in OF_THE_MOMENT)])
-    with interrupts_kept():
-        try:
-            check_surroundings()
-            if argv is None:
-                from studies.command_folder import give_temporary_folder
+    try:
+        check_surroundings()
+        if argv is None:
+            from studies.command_folder import give_temporary_folder
 
-                give_temporary_folder()
-            answer: int = command_module(chosen.command).run(chosen, console)
-            return answer
-        except (Exception, KeyboardInterrupt) as error:
-            if is_interrupt(error):
-                return _interrupted(console, shlex.join(["studies", *arguments]))
-            try:
-                return _report(console, error)
-            except OSError:
-                # The report cannot be written either.
-                return FAILED
+            give_temporary_folder()
+        answer: int = command_module(chosen.command).run(chosen, console)
+        return answer
+    except (Exception, KeyboardInterrupt) as error:
+        if is_interrupt(error):
+            return _interrupted(console, shlex.join(["studies", *arguments]))
+        try:
+            return _report(console, error)
+        except OSError:
+            # The report cannot be written either.
+            return FAILED
+
+
+def is_interrupt(error: BaseException | None) -> bool:
+    """Say whether an error is a Ctrl-C, or was raised while one was on its way."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def _make_writable() -> None:
@@ -210,7 +215,6 @@ def _ended(console: Console, line: str, code: int) -> int:
 
 
 def _interrupted(console: Console, again: str) -> int:
-    interrupt_handled()
     console.warn(f"interrupted; finished work is kept, go on with: {again}")
     console.document({"error": "interrupted", "go_on_with": again})
     return INTERRUPTED

@@ -1,24 +1,22 @@
 """What a command would do: simulations to go, trials to go, and their time where earlier trials show it."""
 
 from dataclasses import replace
-from typing import Any
 
-from studies.console import Column, Table, format_seconds
+from studies.console import Column, format_seconds
 from studies.physical_model import store_file
 from studies.report.wording import MISSING
 from studies.stages.pipeline import Study
+from studies.stages.simulate_stage import missing_rows
+from studies.tuning.study_results import latest_studies, read_studies
 
 
-def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
-    """Return what is left to do, as a table and as JSON values; writes nothing.
+def foretell(study: Study, command: str) -> None:
+    """Show what is left to do, as a table or as JSON values; writes nothing.
 
     Args:
         study: the study.
-        whole: whether all stages are done, or simulations and tuning alone.
+        command: "run", which does all stages, or "tune", which simulates and tunes alone.
     """
-    from studies.stages.simulate_stage import missing_rows
-    from studies.tuning.study_results import latest_studies, read_studies
-
     data, tuning = study.profile.data, study.profile.tuning
     n_missing, n_all = missing_rows(study)
     known = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
@@ -31,7 +29,7 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
         time = "unknown before the first trial" if left_s is None else format_seconds(left_s)
         rows.append([f"trials, n_train {n_train}", f"{n_left} of {tuning.n_trials}", time])
         sizes.append({"n_train": n_train, "n_left": n_left, "training_s": left_s})
-    if whole:
+    if command == "run":
         n_base = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
         n_polish = study.profile.polish.max_calls * len(sizes)
         rows.append(["simulations for Sobol indices, at most", n_base, MISSING])
@@ -39,4 +37,6 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
     columns = [Column("what"), Column("to do", True), Column("training time on one core", True)]
     title = f"{study.label}: what would be done (times from the mean of earlier trials; nothing is written)"
     store = study.paths.show(store_file(study.paths, study.case))
-    return Table(title, columns, rows), {"n_simulations": n_missing, "sizes": sizes, "store": store}
+    study.console.table(title, columns, rows)
+    left = {"n_simulations": n_missing, "sizes": sizes, "store": store}
+    study.console.document({"command": command, "label": study.label, "dry_run": True, **left})

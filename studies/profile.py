@@ -16,6 +16,7 @@ from studies.search_space import STRICT, Count, Positive, SearchParameter, Searc
 
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
+Sample = Annotated[int, Field(ge=2, le=1_000_000)]
 SurrogateName = Literal["refined", "paper", "pca-gp"]
 
 
@@ -47,8 +48,8 @@ class SensitivityBudget:
         n_resamples: bootstrap draws of the confidence intervals.
     """
 
-    n_base: Count = 256
-    n_resamples: Count = 100
+    n_base: Sample = 256
+    n_resamples: Sample = 100
 
     def __post_init__(self) -> None:
         if self.n_base & (self.n_base - 1):

@@ -14,11 +14,13 @@ from pydantic import Field
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted, shortened
+from studies.paths import ProjectPaths
 from studies.profile import Profile
 from studies.stages.saved import plain, rebuilt
 from studies.tuning.declaration import Declaration
 
 if TYPE_CHECKING:
+    from simulation.case import Case
     from studies.stages.pipeline import Study
 
 SCHEMA = 3
@@ -86,6 +88,7 @@ def provenance_of(study: "Study", kind: str, **more: Any) -> dict[str, Any]:
         kind: what the result is.
         more: what this kind needs beyond case and profile.
     """
+    # `studies status` reads results without the modules that simulate.
     from simulation.case_reading import read_experiments
 
     case = study.case
@@ -134,6 +137,36 @@ def read_provenance(record: Mapping[str, Any], owner: str) -> Provenance:
     if not getattr(made, NEEDED[kind]):
         raise InputError(f"{owner}: {FILE}: {NEEDED[kind]} is missing; make it again with this version")
     return made
+
+
+def case_of(paths: ProjectPaths, made: Provenance, *, exactly: bool) -> "Case":
+    """Return the case that something was made from.
+
+    Args:
+        paths: the project.
+        made: what made it.
+        exactly: whether the case file's text and the measurement have to be as they were, too.
+
+    Raises:
+        InputError: the case is not here, or is not as it was.
+    """
+    from simulation.case import load_case
+
+    file, place = paths.located(made.case_file), made.case_file
+    if file is None:
+        raise InputError(f"the case file {quoted(place)} is not in the project; put it there")
+    case = load_case(file, window_d=made.window_d)
+    checks = [("its FMU or its inputs", made.case_digest, case.digest)]
+    if exactly:
+        checks.insert(0, ("the file itself", made.files.get(place, ""), file_digest(file)))
+        checks.append(("its measurement", made.measurement_digest, case.measurement.digest))
+    for what, was, now in checks:
+        if was != now:
+            command = quoted(made.command)
+            raise InputError(
+                f"{paths.show(file)}: {what} changed since {command}; restore it, or repeat that command"
+            )
+    return case
 
 
 def file_digest(file: Path) -> str:

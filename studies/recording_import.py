@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from simulation.whole_file import whole_file
 DAY_S = 86_400.0
 MIN_DURATION_D = 9.5
 """Shorter than this, not even the calibration window of the paper fits."""
-KELVIN_ABOVE = 150.0
-"""No temperature of a building in degrees Celsius."""
 MATLAB_FILE = "identification_data.mat"
 WHOLE = ("time_s", "FlowSupply", "RLTFlow")
 """Columns of whole numbers, where that is exact: times and switches."""
@@ -72,14 +70,12 @@ class ImportReport:
         files: what was written.
         n_rows: rows per file.
         duration_d: length. [d]
-        kelvin: columns converted from kelvin.
     """
 
     source: str
     files: tuple[Path, ...]
     n_rows: tuple[int, ...]
     duration_d: float
-    kelvin: tuple[str, ...]
 
 
 def import_recording(source: Path, folder: Path) -> ImportReport:
@@ -93,9 +89,6 @@ def import_recording(source: Path, folder: Path) -> ImportReport:
         InputError: not readable, a variable missing, an uneven grid, NaN, a value out of range, too short.
     """
     series, name = _read(source)
-    kelvin = [
-        s.column for s in SIGNALS if s.column.endswith("_degC") and np.min(series[s.column][1]) > KELVIN_ABOVE
-    ]
     tables = {}
     for step_s, file in FILES.items():
         signals = [signal for signal in SIGNALS if signal.step_s == step_s]
@@ -103,8 +96,7 @@ def import_recording(source: Path, folder: Path) -> ImportReport:
         columns = {"time_s": step_s * np.arange(n, dtype=np.float64)}
         for one in signals:
             time, values = series[one.column]
-            celsius = values - 273.15 if one.column in kelvin else values
-            columns[one.column] = _checked(f"{name}: {one.column}", one, time - begin, celsius, n)
+            columns[one.column] = _checked(f"{name}: {one.column}", one, time - begin, values, n)
         tables[folder / file] = columns
     duration_d = min(float(columns["time_s"][-1]) for columns in tables.values()) / DAY_S
     if duration_d < MIN_DURATION_D:
@@ -112,9 +104,9 @@ def import_recording(source: Path, folder: Path) -> ImportReport:
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as begun:  # all files or none
         for place, columns in tables.items():
-            begun.enter_context(whole_file(place)).write(_as_csv(columns).encode())
+            _write(begun.enter_context(whole_file(place)), columns)
     n_rows = tuple(len(columns["time_s"]) for columns in tables.values())
-    return ImportReport(name, tuple(tables), n_rows, duration_d, tuple(kelvin))
+    return ImportReport(name, tuple(tables), n_rows, duration_d)
 
 
 def _read(source: Path) -> tuple[Series, str]:
@@ -196,12 +188,11 @@ def _checked(where: str, signal: Signal, time: FloatArray, values: FloatArray, n
     return values
 
 
-def _as_csv(columns: Mapping[str, FloatArray]) -> str:
-    rows = zip(*columns.values(), strict=True)
-    lines = [",".join(map(_cell, columns, row)) for row in rows]
-    return "\n".join([",".join(columns), *lines]) + "\n"
-
-
-def _cell(column: str, value: float) -> str:
-    is_whole = column in WHOLE and math.isclose(value, round(value), abs_tol=1e-9)
-    return f"{value:.0f}" if is_whole else f"{round(value, 6) + 0.0:.6f}"
+def _write(stream: BinaryIO, columns: Mapping[str, FloatArray]) -> None:
+    forms = [
+        "%.0f" if name in WHOLE and np.allclose(values, np.rint(values), rtol=0.0, atol=1e-9) else "%.6f"
+        for name, values in columns.items()
+    ]
+    # Zeros have no sign.
+    table = np.round(np.column_stack([*columns.values()]), 6) + 0.0
+    np.savetxt(stream, table, forms, ",", header=",".join(columns), comments="")

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from simulation.case import load_case
 from simulation.errors import InputError
-from simulation.foreign_text import quoted, shortened
+from simulation.foreign_text import shortened
 from studies.calibration.adaptive import Adaptive
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
-from studies.provenance import FILE, Provenance, file_digest, read_provenance
+from studies.provenance import FILE, Provenance, case_of, read_provenance
 from studies.stages.adaptive_stage import calibrate_adaptively
 from studies.stages.calibrate_stage import calibrate
 from studies.stages.pipeline import Study, read_json
@@ -31,8 +30,7 @@ from studies.stages.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.warm_start import StartRows
 from studies.tracking.origin import environment
 from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import CURVE, RunStore
-from studies.tracking.stage_run import run_store
+from studies.tracking.runs import CURVE, RunStore, run_store
 from studies.tuning.trial_training import load_data, train
 
 if TYPE_CHECKING:
@@ -89,7 +87,8 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
         record = read_json(runs.fetch(run_id, FILE, Path(scratch))) or {}
         made = read_provenance(record, f"MLflow's run {run_id}")
-        study = _study(paths, made, console, n_jobs)
+        case = case_of(paths, made, exactly=True)
+        study = Study(case, made.profile, paths, console, n_jobs, made.label, made.command)
         _say_differences(console, made.environment)
         what = f"{run.info.run_name} of {study.label} once more"
         with console.stage("reproduce", what), threadpool_limits(made.n_threads):
@@ -174,28 +173,6 @@ def _find(runs: RunStore, name: str) -> "Run":
     raise InputError(f"nothing is called {name!r}; give {known}")
 
 
-def _study(paths: ProjectPaths, made: Provenance, console: Console, n_jobs: int) -> Study:
-    """Put the study together from the case that is here.
-
-    Raises:
-        InputError: the case or one of its files is not as it was.
-    """
-    file, place = paths.located(made.case_file), made.case_file
-    if file is None:
-        raise InputError(f"this run's case file {quoted(place)} is not in the project; put it there")
-    case = load_case(file, window_d=made.window_d)
-    checks = (
-        (made.files.get(place, ""), file_digest(file), "the file itself"),
-        (made.case_digest, case.digest, "its FMU or its inputs"),
-        (made.measurement_digest, case.measurement.digest, "its measurement"),
-    )
-    for was, now, what in checks:
-        if was != now:
-            before = shortened(was[:12])
-            raise InputError(f"{paths.show(file)}: {what} changed since this was made; restore it ({before})")
-    return Study(case, made.profile, paths, console, n_jobs, made.label, made.command)
-
-
 def _say_differences(console: Console, was: Mapping[str, str]) -> None:
     """Say which packages, code and machine differ from the recorded ones."""
     now = environment()
@@ -232,12 +209,10 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
 def _calibration(study: Study, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:
     if made.settings is None:
         return calibrate(study, load_surrogate(runs, made.surrogate_run), made.n_train)
-    stored = None
+    start = None
     if before.start_theta is not None and before.start_watched is not None:
-        stored = StartRows(before.start_theta, before.start_watched)
-    return calibrate_adaptively(
-        study,
-        rebuilt(Adaptive, made.settings, FILE),
-        None if stored is None else lambda *_: stored,
-        state_equations=before.state_equations is not None,
-    )
+        rows = StartRows(before.start_theta, before.start_watched)
+        start = lambda *_: rows  # noqa: E731 (the rows are known)
+    settings = rebuilt(Adaptive, made.settings, FILE)
+    learns = before.state_equations is not None
+    return calibrate_adaptively(study, settings, start, state_equations=learns)

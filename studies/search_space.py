@@ -77,23 +77,26 @@ class SearchParameter:
         """Ask Optuna for a value."""
         if self.kind == "categorical":
             return trial.suggest_categorical(name, list(self.choices))
-        assert self.low is not None, "checked when it was declared"
-        assert self.high is not None, "checked when it was declared"
+        low, high = self._bounds
         if self.kind == "int":
-            step = 1 if self.step is None else int(self.step)
-            return trial.suggest_int(name, int(self.low), int(self.high), step=step, log=self.log)
-        return trial.suggest_float(name, float(self.low), float(self.high), step=self.step, log=self.log)
+            return trial.suggest_int(name, int(low), int(high), step=int(self.step or 1), log=self.log)
+        return trial.suggest_float(name, low, high, step=self.step, log=self.log)
 
     def nearest(self, value: Any) -> Any:
         """Return the value of the search that is nearest to a setting."""
         if self.kind == "categorical":
             return value if value in self.choices else self.choices[0]
+        low, high = self._bounds
+        value = min(max(value, low), high)
+        if self.step is not None:
+            value = low + round((value - low) / self.step) * self.step
+        return round(value) if self.kind == "int" else float(value)
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
         assert self.low is not None, "checked when it was declared"
         assert self.high is not None, "checked when it was declared"
-        value = min(max(value, self.low), self.high)
-        if self.step is not None:
-            value = self.low + round((value - self.low) / self.step) * self.step
-        return round(value) if self.kind == "int" else float(value)
+        return float(self.low), float(self.high)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the profile declared, as JSON values."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
-from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.store.stored_model import StoredModel
@@ -66,11 +65,6 @@ class SobolIndices:
         return {self.names[i]: (first[i], total[i]) for i in self.order()}
 
     @property
-    def news(self) -> str:
-        """How many rows they took."""
-        return f"{self.n_calls} simulations reused"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a failed row cost a block."""
         return self.n_dropped > 0
@@ -90,22 +84,14 @@ def sobol_indices(
 
     Args:
         model: Model to ask; usually the surrogate, since it is asked n_base (p + 2) times.
-        n_base: Saltelli blocks, a power of two.
+        n_base: Saltelli blocks, a power of two of at least 2: Sobol' sequences are balanced there alone.
         seed: Seed of the sample and of the bootstrap; 0 is a seed like any other.
-        n_resamples: Bootstrap samples behind the confidence intervals.
+        n_resamples: Bootstrap samples behind the confidence intervals, at least 2.
         on_progress: Called with the rows done and their number in all.
 
     Returns:
         The indices. A block with a failed row is left out as a whole, since its rows belong together.
-
-    Raises:
-        InputError: If n_base is not a power of two.
     """
-    # Sobol' sequences are balanced at powers of two alone.
-    if n_base < 2 or n_base & (n_base - 1):
-        raise InputError(f"n_base is {n_base}; give a power of two, for example 512")
-    if n_resamples < 2:
-        raise InputError(f"n_resamples is {n_resamples}; give at least 2")
     space = model.parameter_space
     theta = saltelli_design(space, n_base, seed)
     y = _asked(model, theta, on_progress)

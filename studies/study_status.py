@@ -1,6 +1,5 @@
-"""What `studies status` shows: a line per study, the trials that run, and the calibrations."""
+"""What `studies status` shows: a line per study and per calibration."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -9,8 +8,7 @@ from studies.blocks import number
 from studies.console import Block, Column, Table, format_seconds
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.records_tuning import TunedSize
-from studies.report.wording import MISSING, count, setting, significant
-from studies.tuning.study_results import STATES, TrialView, TunedStudy
+from studies.report.wording import MISSING, setting, significant
 
 
 def status_blocks(project: Project) -> list[Block]:
@@ -18,9 +16,7 @@ def status_blocks(project: Project) -> list[Block]:
     blocks: list[Block] = []
     tuned = [one for one in project.sizes if not one.is_baseline]
     if tuned:
-        blocks += [_studies(tuned), _total(tuned)]
-    if running := [(one, t) for one in project.studies for t in one.trials if t.state == "running"]:
-        blocks.append(_running(running))
+        blocks.append(_studies(tuned))
     if project.calibrations:
         blocks.append(_calibrations(project.calibrations))
     return blocks or [f"Nothing in {project.paths.root} yet; {FIRST_WORDS}"]
@@ -61,28 +57,6 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
     unit = f", in {units.pop()}" if len(units) == 1 else ""
     title = f"Studies (errors of the best trial on the test set{unit})"
     return Table(title, columns, rows)
-
-
-def _total(tuned: Sequence[TunedSize]) -> str:
-    n = {of: sum(getattr(one, f"n_{of}") for one in tuned) for of in ("trials", "all", *STATES)}
-    parts = [f"{count(n['trials'])} of {count(n['all'], 'trial')} done"]
-    parts += [f"{count(n[state])} {state}" for state in STATES[1:] if n[state]]
-    parts.append(f"{format_seconds(sum(one.wall_s for one in tuned))} of training")
-    return f"{count(len(tuned), 'study', 'studies')}: {', '.join(parts)}"
-
-
-def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
-    columns = [Column("running"), *(number(name) for name in ("epoch", "MAE val", "since"))]
-    rows = [
-        [
-            f"{study.spec.name} trial {trial.number}",
-            f"{trial.n_epochs}/{study.spec.base_config.max_epochs}",
-            MISSING if trial.value is None else significant(trial.value),
-            format_seconds(max(time.time() - trial.began_s, 0.0)),
-        ]
-        for study, trial in running
-    ]
-    return Table("", columns, rows)
 
 
 def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:

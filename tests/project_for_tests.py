@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 OFFICE = REPOSITORY / "fmus" / "office"
 SMOKE_RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
 LIMIT_S = 300.0
+AGAIN_S = 60.0  # then Ctrl-C is pressed again
 
 
 class Answer:
@@ -158,6 +159,10 @@ def interrupt(
         if how is signal.SIGINT:
             # a terminal sends Ctrl-C to the whole group, workers included
             os.killpg(process.pid, how)
+            with suppress(subprocess.TimeoutExpired):  # Python drops one of 300
+                process.wait(AGAIN_S)
+            if process.poll() is None:
+                os.killpg(process.pid, how)
         else:
             process.kill()
         code = process.wait(LIMIT_S)

@@ -122,11 +122,11 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
             raise InputError(
                 f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
             )
-    from studies.stages.calibrate_stage import calibrate_stage, tuned_sizes
+    from studies.stages.calibrate_stage import calibrate_stage, tuned_with_best
     from studies.stages.shown import show_calibrations
 
     study = open_study(chosen, console)
-    sizes = tuned_sizes(study, chosen.n_train)
+    sizes = tuned_with_best(study, chosen.n_train)
     outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
     show_calibrations(study, outcomes)
     return hand_over(study, "calibrate", outcomes)

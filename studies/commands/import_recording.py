@@ -44,8 +44,6 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         [Column("file"), Column("rows", True)],
         list(zip(files, report.n_rows, strict=True)),
     )
-    if report.kelvin:
-        console.result(f"converted from kelvin: {', '.join(report.kelvin)}")
     console.result(f"{report.duration_d:.2f} days; calibrate against them: studies calibrate office-recorded")
     console.document(
         {
@@ -54,7 +52,6 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
             "files": files,
             "n_rows": report.n_rows,
             "duration_d": report.duration_d,
-            "converted_from_kelvin": report.kelvin,
         }
     )
     return OK

@@ -76,6 +76,16 @@ def add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
     command.add_argument("--n-train", nargs="+", type=values.whole(4), metavar="N", help=help_line)
 
 
+def add_calibration(command: argparse.ArgumentParser) -> None:
+    """Which stored calibration."""
+    command.add_argument(
+        "--method",
+        choices=("paper", "adaptive"),
+        help="method of the calibration; default: adaptive if there is one",
+    )
+    add_sizes(command, "the calibration with this training-set size; default: the best")
+
+
 def add_trials(command: argparse.ArgumentParser) -> None:
     """How many trials, or only what would be done."""
     command.add_argument(

@@ -39,12 +39,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="CSV file with the columns of the inputs, or a folder of such files",
     )
     options.add_experiment(command, "the experiment to simulate, of a case with several")
-    command.add_argument(
-        "--method",
-        choices=("paper", "adaptive"),
-        help="method of the calibration; default: adaptive if there is one",
-    )
-    options.add_sizes(command, "the calibration with this training-set size; default: the best")
+    options.add_calibration(command)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

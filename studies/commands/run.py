@@ -16,7 +16,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from studies.commands import options
-from studies.commands.study import FAILED, foretell, hand_over, open_study
+from studies.commands.study import FAILED, OK, hand_over, open_study
 from studies.console import Console
 
 if TYPE_CHECKING:
@@ -35,7 +35,10 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     study = open_study(chosen, console)
     if chosen.dry_run:
-        return foretell(study, "run", whole=True)
+        from studies.forecast import foretell
+
+        foretell(study, "run")
+        return OK
     from studies.doctor import say_warnings, show_diagnosis
     from studies.stages.calibrate_stage import calibrate_stage
     from studies.stages.check_stage import check_stage

@@ -3,7 +3,7 @@
 What happens: the command reads Optuna's studies (mlruns/optuna.db, or the database of --storage) and the
 finished calibrations. It changes nothing, so you may type it at any moment. Each study has one line: trials
 done and planned, pruned, failed and running trials. The line also shows the hyperparameters and errors of
-the best trial and the training time that is left. Below are the running trials and the calibrations.
+the best trial and the training time that is left. Below are the calibrations.
 
 Examples:
   studies status                           all studies

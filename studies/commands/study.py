@@ -130,22 +130,6 @@ def _command(chosen: argparse.Namespace, window: "Window | None") -> str:
     return shlex.join(words)
 
 
-def foretell(study: "Study", command: str, *, whole: bool) -> int:
-    """Show the plan of a command and the duration of its tuning, and return the exit code.
-
-    Args:
-        study: the study.
-        command: the command.
-        whole: whether it does all stages, or simulations and tuning alone.
-    """
-    from studies.forecast import forecast
-
-    table, document = forecast(study, whole=whole)
-    study.console.show([table])
-    study.console.document({"command": command, "label": study.label, "dry_run": True, **document})
-    return OK
-
-
 def hand_over(study: "Study", command: str, outcomes: "Sequence[Outcome[Any]]", **extra: Any) -> int:
     """Write the results of stages as one JSON document, where one is wanted, and return the exit code."""
     study.console.document(

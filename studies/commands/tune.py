@@ -19,7 +19,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import foretell, hand_over, open_study
+from studies.commands.study import OK, hand_over, open_study
 from studies.console import Console
 
 
@@ -34,7 +34,10 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     study = open_study(chosen, console)
     if chosen.dry_run:
-        return foretell(study, "tune", whole=False)
+        from studies.forecast import foretell
+
+        foretell(study, "tune")
+        return OK
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
     from studies.stages.simulate_stage import simulate_stage
 

@@ -32,7 +32,10 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="label (<case>-<profile>) that is shown first; default: the latest",
     )
     command.add_argument(
-        "--port", type=values.port, metavar="N", help="port; default: 5000 or the next free port"
+        "--port",
+        type=values.whole(1024, 65535),
+        metavar="N",
+        help="port; default: 5000 or the next free port",
     )
 
 

@@ -32,12 +32,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     options.add_case(command)
     options.add_simulation(command)
-    command.add_argument(
-        "--method",
-        choices=("paper", "adaptive"),
-        help="method of the calibration; default: adaptive if there is one",
-    )
-    options.add_sizes(command, "the calibration with this training-set size; default: the best")
+    options.add_calibration(command)
     command.add_argument(
         "--noise",
         choices=("correlated", "white", "sensor"),

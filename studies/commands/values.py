@@ -86,10 +86,3 @@ def address(text: str) -> str:
             f"{text!r} is no scheduler's address; give e.g. tcp://scheduler:8786"
         )
     return text
-
-
-def port(text: str) -> int:
-    """Read the number of a port."""
-    if not re.fullmatch(r"\d+", text) or not 1024 <= int(text) <= 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is no port; give a number from 1024 to 65535")
-    return int(text)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from studies.console import Column, Console
-from studies.report.wording import count
 
 Level = Literal["ok", "warn", "fail"]
 LONGEST = 4
@@ -52,11 +51,6 @@ class Diagnosis:
     def is_sound(self) -> bool:
         """Whether nothing failed."""
         return all(finding.level != "fail" for finding in self.findings)
-
-    @property
-    def news(self) -> str:
-        """How much was found."""
-        return count(len(self.findings), "finding")
 
     @property
     def has_failures(self) -> bool:

@@ -1,18 +1,17 @@
 """The best calibration of a case as the values of its FMU's variables, and what made it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from simulation.case import Case, load_case, of_experiment
+from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import FmuVariable, Value
-from simulation.foreign_text import quoted, shortened
+from simulation.foreign_text import shortened
 from studies.best_models import best_calibrations
-from studies.paths import ProjectPaths
 from studies.project import FinishedCalibration, Project
+from studies.provenance import case_of, read_provenance
 from studies.report.wording import difference_unit, squared
 
 
@@ -95,7 +94,8 @@ def calibrated_values(project: Project, experiment: str | None = None) -> Calibr
         remedy = f"name one of: {cases}" if cases else "type studies calibrate first"
         raise InputError(f"--write needs one calibrated case; {remedy}")
     (finished,) = best
-    case = case_of(project.paths, finished.outcome.provenance)
+    made = read_provenance(finished.outcome.provenance, finished.name)
+    case = case_of(project.paths, made, exactly=False)
     case, columns = of_experiment(case, experiment, needed_for="--write")
     space, fmu = case.parameter_space, case.fmu
     theta = np.array([*finished.found.theta.values()])[columns]
@@ -109,26 +109,3 @@ def calibrated_values(project: Project, experiment: str | None = None) -> Calibr
     fixed = ((fmu.variables[name], value) for name, value in case.fixed.items())
     values += [SetValue(variable, value, variable.unit, "fixed") for variable, value in fixed]
     return CalibratedValues(case, finished, tuple(values))
-
-
-def case_of(paths: ProjectPaths, made: Mapping[str, Any]) -> Case:
-    """Return the case that something was made from.
-
-    Args:
-        paths: The project.
-        made: What its provenance says.
-
-    Raises:
-        InputError: The case is not here, or is not as it was.
-    """
-    file = paths.located(made.get("case_file"))
-    if file is None:
-        raise InputError(f"the case file {quoted(made.get('case_file'))} is not in the project; put it there")
-    first, last = made["window_d"]
-    case = load_case(file, window_d=(first, last))
-    if case.digest != made["case_digest"]:
-        raise InputError(
-            f"{paths.show(file)}: the case, its FMU or its inputs changed since {quoted(made['command'])}; "
-            "repeat that command"
-        )
-    return case

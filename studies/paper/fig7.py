@@ -149,7 +149,7 @@ def _judge(
                 true[kind].append(rows.take(~rows.failed))
     found = {}
     for n_train in study.profile.data.n_train:
-        surrogate, _ = best_surrogate(study, n_train)
+        surrogate = best_surrogate(study, n_train)
         model = SurrogateModel(surrogate, space, measurement.output_names, measurement.time)
         for kind in KINDS:
             found[n_train, kind] = [

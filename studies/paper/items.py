@@ -105,27 +105,22 @@ def make(plan: Plan, item: str) -> tuple[Shown, list[Path]]:
     Returns:
         What it shows, and its files, the JSON file first.
     """
-    from studies.tracking.stage_run import StageRun, log_stage
+    from studies.tracking.runs import log_stage
 
     started_s, study = time.time(), plan.study
     with study.console.stage(item, ITEMS[item]):
         shown: Shown = module_of(item).run(plan)
         files = shown.write(plan.folder(item), plan.command(item))
     log_stage(
-        study.paths,
-        StageRun(
-            label=study.label,
-            kind="paper",
-            name=f"paper {item}",
-            key=digest_of({"item": item, "result": files[0].read_text(encoding="utf-8")}),
-            params={"item": item, "budget": plan.budget.name},
-            tags={"case": study.case.name, "case_sha256": study.case.digest},
-            figures=files[1:],
-            artifacts=files[:1],
-            started_s=started_s,
-            wall_s=time.time() - started_s,
-            note=shown.title,
-        ),
+        study,
+        "paper",
+        f"paper {item}",
+        key=digest_of({"item": item, "result": files[0].read_text(encoding="utf-8")}),
+        params={"item": item, "budget": plan.budget.name},
+        figures=files[1:],
+        artifacts=files[:1],
+        wall_s=time.time() - started_s,
+        note=shown.title,
     )
     return shown, files
 

@@ -37,8 +37,7 @@ from studies.report.wording import (
     shown_unit,
     square_of,
 )
-from studies.stages.prediction import Prediction
-from studies.stages.stage_results import Calibration, Uncertainty
+from studies.stages.stage_results import Calibration, Prediction, Uncertainty
 
 MOST_BAND = 3.0
 """The axis of a residual reaches the end of the sensor's band where that is at most so many times as far."""

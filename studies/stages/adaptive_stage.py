@@ -18,7 +18,6 @@ from studies.calibration.recorder import Progress
 from studies.calibration.row_choice import best_and_far
 from studies.console import OnBar
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
-from studies.provenance import provenance_of
 from studies.report.wording import count, quantity, square_of
 from studies.stages.calibrated_point import calibration_at
 from studies.stages.equations_found import (
@@ -94,7 +93,7 @@ def adaptive_stage(
     what = (
         f"{equations}a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most"
     )
-    stage = Stage(study, STAGE, what, inputs, Calibration)
+    stage = Stage(study, STAGE, what, inputs, Calibration, {"kind": "adaptive", "settings": asdict(settings)})
     start, files = None, list[Path]()
     if from_stored:
         # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
@@ -102,13 +101,12 @@ def adaptive_stage(
         question = inputs | {"settings": asdict(any_end)}
         files = [stage.file.with_name(f"{STAGE}-rows.npz")]
         start = WarmStart(files[0], digest_of(question), best_and_far, anew=again and stage.file.is_file())
-    before = stage.finished(again=again)
-    if before is not None:
-        return before
-    with stage.work() as work:
-        found = calibrate_adaptively(study, settings, start, state_equations=learns)
-        made = provenance_of(study, "adaptive", settings=asdict(settings))
-        return work.keep(found, files, provenance=made, log=log_calibration)
+    return stage.once(
+        lambda: calibrate_adaptively(study, settings, start, state_equations=learns),
+        again=again,
+        files=files,
+        log=log_calibration,
+    )
 
 
 def _check_budget(settings: Adaptive, n_parameters: int, *, learns: bool) -> None:

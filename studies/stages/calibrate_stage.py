@@ -1,7 +1,8 @@
 """The stage that calibrates by the paper's method: from the best surrogate of a training-set size."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
@@ -10,7 +11,6 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
-from studies.provenance import provenance_of
 from studies.stages.calibrated_point import calibration_at
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
@@ -20,13 +20,13 @@ from studies.stages.tuned_trials import tuned_by_size
 from studies.stages.validate import validation_inputs, with_validation
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.registry import load_surrogate
-from studies.tracking.stage_run import run_store
+from studies.tracking.runs import run_store
 from studies.tuning.study_results import TrialView, TunedStudy
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
 
-def tuned_sizes(study: Study, asked: Sequence[int] | None) -> dict[int, tuple[TunedStudy, TrialView]]:
+def tuned_with_best(study: Study, asked: Sequence[int] | None) -> dict[int, tuple[TunedStudy, TrialView]]:
     """Return the tuned study and the best trial of each training-set size.
 
     Args:
@@ -48,14 +48,14 @@ def tuned_sizes(study: Study, asked: Sequence[int] | None) -> dict[int, tuple[Tu
     return {n: found[n] for n in sorted(set(asked or found))}
 
 
-def best_surrogate(study: Study, n_train: int) -> tuple[Surrogate, TunedStudy]:
+def best_surrogate(study: Study, n_train: int) -> Surrogate:
     """Load the best surrogate of a size from its MLflow run, on the CPU wherever it was trained.
 
     Raises:
         InputError: there is none of this case, or its weights cannot be read here.
     """
-    tuned, best = tuned_sizes(study, [n_train])[n_train]
-    return load_surrogate(run_store(study.paths), best.run_id), tuned
+    _, best = tuned_with_best(study, [n_train])[n_train]
+    return load_surrogate(run_store(study.paths), best.run_id)
 
 
 def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outcome[Calibration]:
@@ -66,7 +66,7 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         n_train: training-set size.
         again: calibrate though it is finished.
     """
-    profile, (tuned, best) = study.profile, tuned_sizes(study, [n_train])[n_train]
+    profile, (tuned, best) = study.profile, tuned_with_best(study, [n_train])[n_train]
     inputs = {
         **case_inputs(study.case),
         "surrogate": best.weights_sha256,
@@ -78,33 +78,33 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         **validation_inputs(study.case),
     }
     what = "differential evolution on the surrogate, then LS-TRF on the FMU"
-    stage = Stage(study, f"calibrate-{size_name(n_train)}", what, inputs, Calibration)
-    before = stage.finished(again=again)
-    if before is not None:
-        return before
-    with stage.work() as work:
-        found = calibrate(study, best_surrogate(study, n_train)[0], n_train)
-        assert found.screening is not None, "by the paper's method"
-        screened = replace(
-            found.screening,
-            study=tuned.spec.name,
-            trial=best.number,
-            run_id=best.run_id,
-            params=dict(best.params),
-            errors=dict(best.metrics),
-            weights_sha256=best.weights_sha256,
-        )
-        made = provenance_of(study, "calibration", n_train=n_train, surrogate_run=best.run_id)
-        return work.keep(replace(found, screening=screened), provenance=made, log=log_calibration)
+    made = {"kind": "calibration", "n_train": n_train, "surrogate_run": best.run_id}
+    stage = Stage(study, f"calibrate-{size_name(n_train)}", what, inputs, Calibration, made)
+    origin = {
+        "study": tuned.spec.name,
+        "trial": best.number,
+        "run_id": best.run_id,
+        "params": dict(best.params),
+        "errors": dict(best.metrics),
+        "weights_sha256": best.weights_sha256,
+    }
+    return stage.once(
+        lambda: calibrate(study, best_surrogate(study, n_train), n_train, origin),
+        again=again,
+        log=log_calibration,
+    )
 
 
-def calibrate(study: Study, surrogate: Surrogate, n_train: int) -> Calibration:
-    """Calibrate and keep nothing but the simulations; which trial the surrogate is of is left open.
+def calibrate(
+    study: Study, surrogate: Surrogate, n_train: int, origin: Mapping[str, Any] | None = None
+) -> Calibration:
+    """Calibrate and keep nothing but the simulations.
 
     Args:
         study: the study.
         surrogate: what the box is screened with.
         n_train: size of its training set.
+        origin: of which trial it is, by the fields `SURROGATE_FIELDS` of `Screened`; None leaves it open.
     """
     case, profile = study.case, study.profile
     measurement, space = case.measurement, case.parameter_space
@@ -123,30 +123,32 @@ def calibrate(study: Study, surrogate: Surrogate, n_train: int) -> Calibration:
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
+    screened = result.screened
     found = calibration_at(
         study,
         physical,
-        y=result.y_polished,
-        theta=result.theta,
-        slopes=result.slopes,
+        y=result.polish.y,
+        theta=result.polish.theta,
+        slopes=result.polish.slopes,
         method="paper",
         n_train=n_train,
         settings={
             **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
             **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
         },
-        mse=result.mse_polished,
-        stop_reason=result.polish_stop_reason,
-        converged=result.polish_converged,
+        mse=result.polish.mse,
+        stop_reason=result.polish.stop_reason,
+        converged=result.polish.converged,
         ledger=result.ledger.to_dict(),
-        history_calls=result.polish_history.n_calls,
-        history_mse=result.polish_history.best_mse,
+        history_calls=result.history.n_calls,
+        history_mse=result.history.best_mse,
         screening=Screened(
-            theta=dict(zip(space.names, result.theta_screened.tolist(), strict=True)),
+            theta=dict(zip(space.names, screened.theta[0].tolist(), strict=True)),
             mse_surrogate=result.mse_surrogate,
-            mse=result.mse_screened,
-            stop_reason=result.screen_stop_reason,
+            mse=float(screened.mse[0]),
+            stop_reason=result.screen.stop_reason,
+            **(origin or {}),
         ),
-        y_screened=result.y_screened,
+        y_screened=screened.y[0],
     )
-    return with_validation(study, found, {"screened": result.theta_screened, "polished": result.theta})
+    return with_validation(study, found, {"screened": screened.theta[0], "polished": result.polish.theta})

@@ -2,7 +2,7 @@
 
 from studies.doctor import Diagnosis, examine
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Stage, Study, read_outcome
+from studies.stages.pipeline import Outcome, Stage, Study
 
 
 def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> Outcome[Diagnosis]:
@@ -13,24 +13,6 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
         **declared_inputs(study.case),
     }
     stage = Stage(study, "check", f"examining {study.label}", inputs, Diagnosis)
-    before = stage.finished(again=again)
-    if before is not None:
-        return before
-    with stage.work() as work:
-        found = examine(study, is_thorough=is_thorough)
-        return work.keep(found, is_finished=found.is_sound)
-
-
-def found_of_the_step(study: Study) -> str | None:
-    """Return what the last examination of this case found of its communication step.
-
-    Returns:
-        "" where it found nothing wrong, None where the case was not examined.
-    """
-    before = read_outcome(study.results, "check", Diagnosis)
-    if before is None or before.inputs["case"] != study.case.digest:
-        return None
-    for one in before.result.findings:
-        if "half the communication step" in one.what and one.level == "warn":
-            return f"{one.what} {one.found}: {one.remedy}"
-    return ""
+    return stage.once(
+        lambda: examine(study, is_thorough=is_thorough), again=again, is_kept=lambda found: found.is_sound
+    )

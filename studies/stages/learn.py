@@ -22,7 +22,7 @@ from studies.tuning.attempts import places
 from studies.tuning.declaration import SETS, Declaration
 from studies.tuning.sampler import make_pruner, make_sampler
 from studies.tuning.study_results import TunedStudy
-from studies.tuning.tune_studies import TuningError, closed_studies, tune
+from studies.tuning.tune_studies import closed_studies, tune
 
 
 def require_tuning(study: Study) -> None:
@@ -59,19 +59,16 @@ def tune_stage(study: Study, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned
             news = "" if best is None else f": best MAE {quantity(best, unit)}"
             bars(f"n_train {spec.size.removeprefix('n').lstrip('0')}", done, total, news)
 
-        try:
-            found = tune(
-                specs,
-                paths=study.paths,
-                n_trials=budget.n_trials,
-                n_jobs=study.n_jobs,
-                n_parallel=budget.n_parallel,
-                until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
-                provenance=provenance_of(study, "training"),
-                on_trials=show,
-            )
-        except TuningError as error:
-            raise StageError(f"tune: {error}") from error
+        found = tune(
+            specs,
+            paths=study.paths,
+            n_trials=budget.n_trials,
+            n_jobs=study.n_jobs,
+            n_parallel=budget.n_parallel,
+            until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
+            provenance=provenance_of(study, "training"),
+            on_trials=show,
+        )
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]
     n_done, n_all = sum(one.n_ended for one in tuned), budget.n_trials * len(sizes)
@@ -104,9 +101,8 @@ def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
     for name, rows in sets.items():
         if tuple(rows.parameter_names) != space.names:
             raise InputError(f"{files[name]} has other parameters than the case; simulate it again")
-    longer = {
-        key: getattr(budget, key) for key in ("max_epochs", "patience") if getattr(budget, key) is not None
-    }
+    longer = {"max_epochs": budget.max_epochs, "patience": budget.patience}
+    longer = {name: value for name, value in longer.items() if value is not None}
     found = []
     for n_train in study.profile.data.n_train:
         if sets["train"].n < n_train:

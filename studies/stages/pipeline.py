@@ -7,8 +7,8 @@ A stage leaves `<stage>.json`: its result, and what made it. Arrays of the resul
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +18,7 @@ from simulation.errors import InputError
 from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.profile import Profile
+from studies.provenance import provenance_of
 from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt, write_arrays
 from studies.stages.saved import read_json as read_json
 from studies.stages.saved import write_json as write_json
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
 
 class Result(Protocol):
     """What a stage comes to: a frozen dataclass that terminal, page, MLflow and programs read alike."""
-
-    @property
-    def news(self) -> str:
-        """What is said where the stage was finished before."""
 
     @property
     def has_failures(self) -> bool:
@@ -172,6 +169,7 @@ class Stage(Generic[R]):
         what: what is done, for the user.
         inputs: all that decides the result, as JSON values.
         kind: type of the result.
+        made: what makes it again beyond case and profile, see `provenance_of`; None where nothing does.
     """
 
     study: Study
@@ -179,6 +177,7 @@ class Stage(Generic[R]):
     what: str
     inputs: Mapping[str, Any]
     kind: type[R]
+    made: Mapping[str, Any] | None = None
 
     @property
     def digest(self) -> str:
@@ -187,15 +186,74 @@ class Stage(Generic[R]):
 
     @property
     def file(self) -> Path:
-        """The file that says that the stage is finished; its arrays have the same name with .npz."""
+        """The file that says that the stage is finished."""
         return self.study.results / f"{self.name}.json"
 
-    def finished(self, *, again: bool = False) -> Outcome[R] | None:
-        """Return what the stage came to before, and say so; None where it has to be done.
+    @property
+    def arrays(self) -> Path:
+        """The file of the result's arrays."""
+        return self.file.with_suffix(".npz")
+
+    def once(
+        self,
+        work: Callable[[], R],
+        *,
+        again: bool = False,
+        files: Sequence[Path] = (),
+        log: Callable[[Study, Outcome[R]], None] | None = None,
+        is_kept: Callable[[R], bool] = lambda result: True,
+    ) -> Outcome[R]:
+        """Return what the stage came to before, else do its work, write the result, and its run in MLflow.
 
         Args:
+            work: does the work and returns the result.
             again: do it though it is finished; until it is done again it counts as unfinished.
+            files: must exist as the work leaves them for the stage to count as finished.
+            log: writes the run in MLflow.
+            is_kept: whether it counts as finished with a result.
         """
+        study, began = self.study, time.perf_counter()
+        before = self._finished(again=again)
+        if before is not None:
+            return before
+        with study.console.stage(self.name, self.what):
+            result = work()
+            outcome = Outcome(
+                stage=self.name,
+                result=result,
+                digest=self.digest,
+                inputs=self.inputs,
+                wall_s=time.perf_counter() - began,
+                finished=datetime.now(UTC).isoformat(timespec="seconds"),
+                provenance=provenance_of(study, **self.made) if self.made else {},
+                file=self.file,
+            )
+            if not is_kept(result):
+                return replace(outcome, file=None)
+            if arrays := arrays_of(result):
+                write_arrays(self.arrays, arrays)
+                files = [*files, self.arrays]
+            if log is not None:
+                log(study, outcome)
+            manifest = {
+                "stage": self.name,
+                "digest": self.digest,
+                "case_file": study.paths.recorded(study.case.path),
+                "inputs": self.inputs,
+                "files": {study.paths.recorded(made): made.stat().st_size for made in files},
+                "seed": study.profile.seed,
+                "wall_s": outcome.wall_s,
+                "finished": outcome.finished,
+                "environment": environment(),
+                "provenance": outcome.provenance,
+                "result": plain(result),
+            }
+            # Last, as it says that the stage is finished.
+            write_json(self.file, manifest)
+        return outcome
+
+    def _finished(self, *, again: bool) -> Outcome[R] | None:
+        """Return what the stage came to before, and say so; None where it has to be done."""
         if again:
             self.file.unlink(missing_ok=True)
         if not _is_whole(self.study.paths, self.file, self.digest):
@@ -206,80 +264,7 @@ class Stage(Generic[R]):
         if outcome is None or (self.study.retry_failed and outcome.result.has_failures):
             self.file.unlink(missing_ok=True)
             return None
-        self.study.console.say(f"{self.name}: finished before, {outcome.result.news}")
-        return outcome
-
-    @contextmanager
-    def work(self) -> Iterator["Work[R]"]:
-        """Say when the work of the stage begins and when it has ended."""
-        with self.study.console.stage(self.name, self.what):
-            yield Work(self, time.time(), time.perf_counter())
-
-
-@dataclass(frozen=True)
-class Work(Generic[R]):
-    """The work of a stage that goes on.
-
-    Args:
-        stage: the stage.
-        started_s: when it began. [s since 1970, UTC]
-        counted_from: the same by a monotonic clock. [s]
-    """
-
-    stage: Stage[R]
-    started_s: float
-    counted_from: float
-
-    def keep(
-        self,
-        result: R,
-        files: Sequence[Path] = (),
-        *,
-        provenance: Mapping[str, Any] | None = None,
-        log: Callable[["Work[R]", Outcome[R]], None] | None = None,
-        is_finished: bool = True,
-    ) -> Outcome[R]:
-        """Write the result, then its run in MLflow, then the file that makes the stage a finished one.
-
-        Args:
-            result: what the stage came to.
-            files: must exist as they are for the stage to count as finished.
-            provenance: what makes the result again.
-            log: writes the run in MLflow.
-            is_finished: whether it counts as finished with this result.
-        """
-        stage, study = self.stage, self.stage.study
-        outcome = Outcome(
-            stage=stage.name,
-            result=result,
-            digest=stage.digest,
-            inputs=stage.inputs,
-            wall_s=time.perf_counter() - self.counted_from,
-            finished=datetime.now(UTC).isoformat(timespec="seconds"),
-            provenance=provenance or {},
-            file=stage.file,
-        )
-        if not is_finished:
-            return replace(outcome, file=None)
-        if arrays := arrays_of(result):
-            write_arrays(stage.file.with_suffix(".npz"), arrays)
-            files = [*files, stage.file.with_suffix(".npz")]
-        if log is not None:
-            log(self, outcome)
-        manifest = {
-            "stage": stage.name,
-            "digest": stage.digest,
-            "case_file": study.paths.recorded(study.case.path),
-            "inputs": stage.inputs,
-            "files": {study.paths.recorded(made): made.stat().st_size for made in files},
-            "seed": study.profile.seed,
-            "wall_s": outcome.wall_s,
-            "finished": outcome.finished,
-            "environment": environment(),
-            "provenance": outcome.provenance,
-            "result": plain(result),
-        }
-        write_json(stage.file, manifest)
+        self.study.console.say(f"{self.name}: finished before")
         return outcome
 
 

@@ -19,8 +19,7 @@ from studies.report.wording import count
 from studies.stages.finished import stored_uncertainties
 from studies.stages.knowledge import case_inputs
 from studies.stages.pipeline import Outcome, Stage, StageError, Study
-from studies.stages.prediction import Prediction
-from studies.stages.stage_results import Calibration, Uncertainty
+from studies.stages.stage_results import Calibration, Prediction, Uncertainty
 from studies.stages.stage_runs import log_prediction
 from studies.uncertainty.bands import bands_of, noise_of_outputs
 
@@ -60,15 +59,13 @@ def predict_stage(
     place = re.sub(r"[^\w.-]", "_", named)[:100]
     what = f"{count(len(theta), 'simulation')} with {source}"
     stage = Stage(study, f"predict-{calibration.name}-{place}", what, inputs, Prediction)
-    before = stage.finished()
-    if before is not None:
-        return before
-    with stage.work() as work:
+    table, picture = (stage.file.with_suffix(ending) for ending in (".csv", ".png"))
+
+    def predict() -> Prediction:
         with open_physical_model(study, case=case) as model:
             y = model.simulate(theta).y
         if not np.isfinite(y[0]).all():
             raise StageError(f"the calibrated parameters cannot be simulated with {source}")
-        table = stage.file.with_suffix(".csv")
         found = Prediction(
             calibration=calibration.name,
             inputs=study.paths.recorded(case.path if recording is None else recording),
@@ -86,12 +83,13 @@ def predict_stage(
             share = case.measurement.uncertainty[0] / study.case.measurement.uncertainty[0]
             noise = share * noise_of_outputs(known.noise, case.measurement)
             found = _with_bands(noise, found, known, y[1:])
-        picture = stage.file.with_suffix(".png")
         with whole_file(table) as stream:
             stream.write(_as_csv(found))
         figure = prediction_figure(found, None if recording is not None else case.measurement)
         write_png(figure, picture, footnote=f"{study.label}, {source}")
-        return work.keep(found, [table, picture], log=log_prediction)
+        return found
+
+    return stage.once(predict, files=[table, picture], log=log_prediction)
 
 
 def _with_bands(noise: FloatArray, found: Prediction, known: Uncertainty, y: FloatArray) -> Prediction:

@@ -12,7 +12,7 @@ from studies.stages.finished import stored_calibrations, stored_indices, stored_
 from studies.stages.pipeline import Outcome, Stage, Study, read_outcome
 from studies.stages.stage_results import Reported, SimulatedSets
 from studies.stages.stage_runs import log_report
-from studies.stages.tuned_trials import trials_record, tuned_by_size, tuned_sizes
+from studies.stages.tuned_trials import trials_record, tuned_by_size
 from studies.tracking.origin import versions
 
 N_COVERAGE = 256
@@ -30,6 +30,7 @@ def report_stage(study: Study) -> Outcome[Reported]:
         raise InputError(
             f"{study.label} has no calibration to report; type: studies calibrate {study.command}"
         )
+    tuned, baselines = (tuned_by_size(study, baseline=is_baseline) for is_baseline in (False, True))
     stages = ["simulate", "sensitivity", *(one.stage for one in calibrations)]
     stages += [one.stage for one in uncertainties]
     files = [study.results / f"{stage}.json" for stage in stages]
@@ -38,32 +39,31 @@ def report_stage(study: Study) -> Outcome[Reported]:
         "results": {file.name: file_digest(file) for file in files if file.is_file()},
         "trials": [
             [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials]]
-            for baseline in (False, True)
-            for one in tuned_by_size(study, baseline=baseline).values()
+            for one in (*tuned.values(), *baselines.values())
         ],
         "versions": versions(),
     }
 
     index = study.paths.report(study.label) / "index.html"
     stage = Stage(study, "report", f"tables and figures of {study.label}", inputs, Reported)
-    before = stage.finished()
-    if before is not None:
-        return before
-    with stage.work() as work:
+
+    def write() -> Reported:
         data = ReportData(
             study.label,
             study.case,
             calibrations,
             coverage=_coverage(study),
             sensitivity=stored_indices(study),
-            tuned=tuned_sizes(study),
-            trials=trials_record(tuned_by_size(study)),
+            tuned=tuple(one.summary(baselines.values()) for one in tuned.values() if one.best is not None),
+            trials=trials_record(tuned),
             uncertainties=tuple(one.result for one in uncertainties),
             commands=tuple(dict.fromkeys(str(one.provenance["command"]) for one in calibrations)),
         )
         write_page(data, index)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
-        return work.keep(Reported(study.paths.recorded(index)), [index], log=log_report)
+        return Reported(study.paths.recorded(index))
+
+    return stage.once(write, files=[index], log=log_report)
 
 
 def show_report(study: Study, found: Reported) -> None:

@@ -90,4 +90,4 @@ def read_arrays(file: Path) -> Arrays:
         with np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise InputError(f"{file} is damaged; remove it and repeat its command with --again") from None
+        raise InputError(f"{file} is damaged; remove it and repeat its command") from None

@@ -1,18 +1,18 @@
 """Stages that ask the physical model for data: the simulated sets and the Sobol indices."""
 
-from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.store.joined_store import store_at
-from studies.console import Column, OnProgress
+from studies.console import Column
 from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
-from studies.provenance import provenance_of
 from studies.report.wording import count
-from studies.row_set import RowSet, content_of
+from studies.row_set import RowSet
 from studies.sobol import SobolIndices, sobol_indices
 from studies.stages.pipeline import Outcome, Stage, Study, digest_of
 from studies.stages.stage_results import SimulatedSets
@@ -51,46 +51,42 @@ def _designs(study: Study) -> dict[str, FloatArray]:
 
 def simulate_stage(study: Study) -> Outcome[SimulatedSets]:
     """Simulate the nested training design, the validation and the test set."""
-    sizes, total = set_sizes(study.profile), sum(set_sizes(study.profile).values())
+    sizes, designs = set_sizes(study.profile), _designs(study)
+    total, store = sum(sizes.values()), store_file(study.paths, study.case)
     inputs = {
         "case": study.case.digest,
         "n": sizes,
         "seeds": set_seeds(study.profile),
         "design": "uniform",
     }
-
-    if missing_rows(study)[0]:
-        (study.results / "simulate.json").unlink(missing_ok=True)
     what = f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})"
     stage = Stage(study, "simulate", what, inputs, SimulatedSets)
-    before = stage.finished()
-    if before is not None:
-        return before
-    with stage.work() as work:
-        sets, digests, failed, n_done = dict[str, RowSet](), dict[str, str](), dict[str, list[str]](), 0
+    sets = {name: RowSet(theta, store, _set_file(study, name, theta)) for name, theta in designs.items()}
+
+    def simulate() -> SimulatedSets:
         with open_physical_model(study) as model, study.console.progress("simulations", total) as advance:
-            for name, theta in _designs(study).items():
-                model.complete(theta, on_progress=_after(n_done, total, advance))
-                n_done += len(theta)
-                sets[name] = RowSet(theta, model.store.file, _set_file(study, name, theta))
-                sets[name].save()
-                digests[name], reasons = content_of(model.store.stream(theta))
-                failed[name] = [reason for reason in reasons if reason]
+            theta = np.concatenate([*designs.values()])
+            model.complete(theta, on_progress=lambda n_done: advance(n_done, total))
+        for rows in sets.values():
+            rows.save()
         say_reused(study, "simulate", model)
-        first = tuple(sorted({reason for reasons in failed.values() for reason in reasons})[:3])
-        if n_failed := sum(map(len, failed.values())):
-            how_many, why = count(n_failed, "simulation"), "; ".join(first)
+        answers = {name: rows.read() for name, rows in sets.items()}
+        n_failed = {name: int(answer.failed.sum()) for name, answer in answers.items()}
+        first = tuple(sorted({reason for one in answers.values() for reason in one.failures if reason})[:3])
+        if first:
+            how_many, why = count(sum(n_failed.values()), "simulation"), "; ".join(first)
             study.console.warn(f"{how_many} failed, left out: {why} (--retry-failed repeats them)")
-        found = SimulatedSets(
+        return SimulatedSets(
             n=sizes,
-            n_failed={name: len(reasons) for name, reasons in failed.items()},
+            n_failed=n_failed,
             first_failures=first,
             files={name: study.paths.recorded(rows.file) for name, rows in sets.items()},
-            digests=digests,
-            store=study.paths.recorded(store_file(study.paths, study.case)),
+            digests={name: answer.digest for name, answer in answers.items()},
+            store=study.paths.recorded(store),
             n_reused=model.n_reused,
         )
-        return work.keep(found, [rows.file for rows in sets.values()])
+
+    return stage.once(simulate, again=missing_rows(study)[0] > 0, files=[rows.file for rows in sets.values()])
 
 
 def missing_rows(study: Study) -> tuple[int, int]:
@@ -102,10 +98,6 @@ def missing_rows(study: Study) -> tuple[int, int]:
             return total - sum(int(store.find(theta).sum()) for theta in designs), total
     except InputError:
         return total, total
-
-
-def _after(before: int, total: int, advance: OnProgress) -> Callable[[int], None]:
-    return lambda n_done: advance(before + n_done, total)
 
 
 def _set_file(study: Study, name: str, theta: FloatArray) -> Path:
@@ -143,14 +135,16 @@ def sensitivity_stage(study: Study) -> Outcome[SobolIndices]:
         "n_resamples": budget.n_resamples,
         "seed": study.profile.seed,
     }
-    stage = Stage(study, "sensitivity", f"Sobol indices from {n_rows} simulations", inputs, SobolIndices)
-    before = stage.finished()
-    if before is not None:
-        return before
-    # MLflow takes seconds to import, which a dry run and the sets of simulations do without.
-    from studies.stages.stage_runs import log_sensitivity
+    stage = Stage(
+        study,
+        "sensitivity",
+        f"Sobol indices from {n_rows} simulations",
+        inputs,
+        SobolIndices,
+        {"kind": "sensitivity"},
+    )
 
-    with stage.work() as work:
+    def estimate() -> SobolIndices:
         with open_physical_model(study) as model, study.console.progress("simulations", n_rows) as advance:
             indices = sobol_indices(
                 model,
@@ -162,5 +156,12 @@ def sensitivity_stage(study: Study) -> Outcome[SobolIndices]:
         say_reused(study, "sensitivity", model)
         if not study.paths.tracking_database.is_file():
             study.console.say("sensitivity: making MLflow's store, once")
-        made = provenance_of(study, "sensitivity")
-        return work.keep(indices, provenance=made, log=log_sensitivity)
+        return indices
+
+    def log(study: Study, outcome: Outcome[SobolIndices]) -> None:
+        # MLflow takes seconds to import, which a dry run and the sets of simulations do without.
+        from studies.stages.stage_runs import log_sensitivity
+
+        log_sensitivity(study, outcome)
+
+    return stage.once(estimate, log=log)

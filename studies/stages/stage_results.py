@@ -1,6 +1,6 @@
 """What each stage comes to: one frozen dataclass, which terminal, page, MLflow and programs read alike."""
 
-import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -10,7 +10,7 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
 from studies.report.records_tuning import TunedSize
-from studies.report.wording import count, listed, percent, significant
+from studies.report.wording import count, listed, percent
 from studies.stages.saved import WITH_ARRAYS, Error
 from studies.uncertainty.findings import Compensation
 from studies.uncertainty.identifiability import DETERMINED, Pair
@@ -82,11 +82,6 @@ class SimulatedSets:
     n_reused: int
 
     @property
-    def news(self) -> str:
-        """How many rows there are."""
-        return f"{count(sum(self.n.values()), 'simulation')} reused"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return any(self.n_failed.values())
@@ -112,11 +107,6 @@ class Reported:
     """
 
     index: str
-
-    @property
-    def news(self) -> str:
-        """Where it lies."""
-        return f"{self.index} is up to date"
 
     @property
     def has_failures(self) -> bool:
@@ -400,11 +390,6 @@ class Calibration:
     start_watched: BoolArray | None = None
 
     @property
-    def news(self) -> str:
-        """Its error."""
-        return f"final {self.error_name} {significant(self.mse, 4) if math.isfinite(self.mse) else 'failed'}"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return self.n_failed > 0
@@ -579,11 +564,6 @@ class Uncertainty:
     predictive: FloatArray
 
     @property
-    def news(self) -> str:
-        """What its sample is worth."""
-        return f"a sample worth {self.sample.n_effective:.0f} parameter sets"
-
-    @property
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return self.n_failed > 0
@@ -603,3 +583,53 @@ class Uncertainty:
     def point(self) -> FloatArray:
         """The calibrated parameters that it is about. Shape (p,). [per parameter]."""
         return np.array([one.calibrated for one in self.parameters.values()])
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A calibrated model with other inputs.
+
+    Attributes:
+        calibration: Name of the calibration.
+        inputs: Place of the recording that drove it.
+        table: Place of the CSV file.
+        output_names: Names of the k outputs.
+        output_units: Their units.
+        level: Probability of the bands; None without an uncertainty of this calibration. [1]
+        n_sample: Parameter sets that the bands were made of.
+        n_failed: Those whose simulation failed.
+        time: Output times. Shape (t,). [s]
+        y: Outputs of the calibrated parameters. Shape (t, k). [per output]
+        simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
+        predictive: Band of a measurement. Shape (2, t, k). [per output]
+    """
+
+    __pydantic_config__ = WITH_ARRAYS
+
+    calibration: str
+    inputs: str
+    table: str
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    level: float | None
+    n_sample: int
+    n_failed: int
+    time: FloatArray
+    y: FloatArray
+    simulated: FloatArray | None = None
+    predictive: FloatArray | None = None
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether a simulation failed."""
+        return self.n_failed > 0
+
+    def columns(self) -> Iterator[tuple[str, FloatArray]]:
+        """Give the columns of the table with their names."""
+        yield "time_s", self.time
+        for k, name in enumerate(self.output_names):
+            yield name, self.y[:, k]
+            for what, band in (("simulated", self.simulated), ("predictive", self.predictive)):
+                if band is not None:
+                    yield f"{name} {what} low", band[0, :, k]
+                    yield f"{name} {what} high", band[1, :, k]

@@ -1,6 +1,5 @@
 """What MLflow shows of the stages that are not tuning: numbers, curves and pictures."""
 
-import math
 import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,17 +11,16 @@ import numpy as np
 from studies.report.drawing import Figure, write_png
 from studies.report.figures_calibration import band_figure, calibration_figure, calls_figure, interval_figure
 from studies.sobol import SobolIndices
-from studies.stages.pipeline import Outcome, Work
-from studies.stages.prediction import Prediction
+from studies.stages.pipeline import Outcome, Study
 from studies.stages.saved import plain
-from studies.stages.stage_results import Calibration, Reported, Uncertainty
+from studies.stages.stage_results import Calibration, Prediction, Reported, Uncertainty
 from studies.tracking.origin import environment
-from studies.tracking.stage_run import StageRun, log_stage
+from studies.tracking.runs import log_stage
 
 
-def log_calibration(work: Work[Calibration], outcome: Outcome[Calibration]) -> None:
+def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
     """Log a finished calibration, with its figures."""
-    found, study = outcome.result, work.stage.study
+    found = outcome.result
     tags: dict[str, Any] = {"method": found.method, "stop_reason": found.stop_reason}
     tags["error"] = found.error_name
     metrics: dict[str, float | None] = {
@@ -47,7 +45,7 @@ def log_calibration(work: Work[Calibration], outcome: Outcome[Calibration]) -> N
         }
     curve = zip(found.history_calls.tolist(), found.history_mse.tolist(), strict=True)
     _log(
-        work,
+        study,
         outcome,
         "calibration",
         name=f"{outcome.name} calibration",
@@ -62,12 +60,12 @@ def log_calibration(work: Work[Calibration], outcome: Outcome[Calibration]) -> N
     )
 
 
-def log_uncertainty(work: Work[Uncertainty], outcome: Outcome[Uncertainty]) -> None:
+def log_uncertainty(study: Study, outcome: Outcome[Uncertainty]) -> None:
     """Log a finished uncertainty, with its figures."""
-    found, study = outcome.result, work.stage.study
+    found = outcome.result
     known = Counter(one.known for one in found.parameters.values())
     _log(
-        work,
+        study,
         outcome,
         "uncertainty",
         name=f"{outcome.name} uncertainty",
@@ -91,9 +89,9 @@ def log_uncertainty(work: Work[Uncertainty], outcome: Outcome[Uncertainty]) -> N
     )
 
 
-def log_sensitivity(work: Work[SobolIndices], outcome: Outcome[SobolIndices]) -> None:
+def log_sensitivity(study: Study, outcome: Outcome[SobolIndices]) -> None:
     """Log Sobol indices, averaged over time."""
-    found, study = outcome.result, work.stage.study
+    found = outcome.result
     orders = ("first_order", "total_order")
     metrics = {
         f"{order}/{name}": value
@@ -101,15 +99,15 @@ def log_sensitivity(work: Work[SobolIndices], outcome: Outcome[SobolIndices]) ->
         for order, value in zip(orders, means, strict=True)
     }
     params = {"n_base": found.n_base, "seed": study.profile.seed}
-    _log(work, outcome, "sensitivity", params=params, metrics=metrics)
+    _log(study, outcome, "sensitivity", params=params, metrics=metrics)
 
 
-def log_prediction(work: Work[Prediction], outcome: Outcome[Prediction]) -> None:
+def log_prediction(study: Study, outcome: Outcome[Prediction]) -> None:
     """Log a calibrated model with other inputs: its table and its picture."""
-    found, root = outcome.result, work.stage.study.paths.root
+    found, root = outcome.result, study.paths.root
     table = root / found.table
     _log(
-        work,
+        study,
         outcome,
         "prediction",
         params={"inputs": found.inputs},
@@ -120,47 +118,38 @@ def log_prediction(work: Work[Prediction], outcome: Outcome[Prediction]) -> None
     )
 
 
-def log_report(work: Work[Reported], outcome: Outcome[Reported]) -> None:
+def log_report(study: Study, outcome: Outcome[Reported]) -> None:
     """Log a report: its page, which holds its figures."""
-    _log(work, outcome, "report", artifacts=[work.stage.study.paths.root / outcome.result.index])
+    _log(study, outcome, "report", artifacts=[study.paths.root / outcome.result.index])
 
 
 def _log(
-    work: Work[Any],
+    study: Study,
     outcome: Outcome[Any],
     kind: str,
     *,
     name: str = "",
-    metrics: Mapping[str, float | None] | None = None,
-    tags: Mapping[str, Any] | None = None,
     artifacts: Sequence[Path] = (),
     images: Sequence[Path] = (),
     pictures: Mapping[str, Figure] | None = None,
     **more: Any,
 ) -> None:
     """Log what every stage has, and more."""
-    study, arrays = work.stage.study, work.stage.file.with_suffix(".npz")
-    about = {"case": study.case.name, "case_sha256": study.case.digest, **(tags or {})}
-    finite = {k: v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
+    arrays = study.results / f"{outcome.stage}.npz"
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         drawn = [
             write_png(figure, Path(scratch) / f"{picture}.png", footnote=study.label)
             for picture, figure in (pictures or {}).items()
         ]
-        run = StageRun(
-            study.label,
+        log_stage(
+            study,
             kind,
             name or outcome.stage,
-            outcome.digest,
-            metrics=finite,
-            tags=about,
-            artifacts=[*artifacts, *([arrays] if arrays.is_file() else [])],
-            figures=[*images, *drawn],
-            started_s=work.started_s,
+            key=outcome.digest,
             wall_s=outcome.wall_s,
-            note=study.case.note,
-            record=made if outcome.provenance else {},
+            figures=[*images, *drawn],
+            artifacts=[*artifacts, *([arrays] if arrays.is_file() else [])],
+            record=made if outcome.provenance else None,
             **more,
         )
-        log_stage(study.paths, run)

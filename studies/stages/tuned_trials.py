@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.report.records_tuning import TrialsRecord, TunedSize
+from studies.report.records_tuning import TrialsRecord
 from studies.stages.pipeline import Study
 from studies.tuning.study_results import TunedStudy, latest_studies, read_studies
 
@@ -17,12 +17,6 @@ def tuned_by_size(study: Study, *, baseline: bool = False) -> dict[int, TunedStu
     """
     latest = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
     return {n: one for (n, is_baseline), one in sorted(latest.items()) if is_baseline == baseline}
-
-
-def tuned_sizes(study: Study) -> tuple[TunedSize, ...]:
-    """Return the best surrogate of each training-set size, with PCA + GP beside it."""
-    baselines = list(tuned_by_size(study, baseline=True).values())
-    return tuple(one.summary(baselines) for one in tuned_by_size(study).values() if one.best is not None)
 
 
 def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:

@@ -14,7 +14,6 @@ from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
-from studies.provenance import provenance_of
 from studies.report.sentences import FITS_BETTER
 from studies.report.wording import count, listed
 from studies.stages.equations_found import learned_ode_of
@@ -69,13 +68,10 @@ def calibration_to_judge(
     ]
     if fitting:
         return min(fitting, key=lambda one: (not one.result.is_adaptive, one.result.mse))
-    asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
-    how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
-    is_other = not every and any(study.results.glob("calibrate-*.json"))
-    other = " (what is stored is of another window, measurement, scale or prior)" if is_other else ""
-    there = f", there is {listed(one.name for one in every)}" if every else ""
+    how = f" --n-train {sizes[0]}" if sizes else f" --method {method}" if method else ""
+    there = listed(one.name for one in every) or "none of this window, measurement, scale and prior"
     raise InputError(
-        f"{study.label} has no calibration of {asked}{other}{there}; type: studies calibrate "
+        f"{study.label} has no calibration{how and f' of{how}'}, there is {there}; type: studies calibrate "
         f"{study.command}{how}"
     )
 
@@ -109,15 +105,14 @@ def uncertainty_stage(
         **({"state_equations": True} if calibration.result.believes_equations else {}),
     }
     what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
-    stage = Stage(study, f"uncertainty-{name}", what, inputs, Uncertainty)
-    before = stage.finished(again=again)
-    if before is not None:
-        return before
-    with stage.work() as work:
-        start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
-        found = _judge(study, calibration, start, noise, max_calls)
-        made = provenance_of(study, "uncertainty")
-        return work.keep(found, [start.file], provenance=made, log=log_uncertainty)
+    stage = Stage(study, f"uncertainty-{name}", what, inputs, Uncertainty, {"kind": "uncertainty"})
+    start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
+    return stage.once(
+        lambda: _judge(study, calibration, start, noise, max_calls),
+        again=again,
+        files=[start.file],
+        log=log_uncertainty,
+    )
 
 
 def _judge(

@@ -4,7 +4,7 @@ Its simulations are a few per calibration and decide nothing: the ledger does no
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,28 +12,16 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
+from simulation.trajectories import Trajectories
 from studies.physical_model import open_physical_model
 from studies.report.output_fit import output_fit
 from studies.stages.pipeline import Study
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 
-@dataclass(frozen=True)
-class Validation:
-    """Several parameter sets on the validation period.
-
-    Attributes:
-        points: The parameter sets by name, in the order they were given.
-        time: Output times from the begin of the period on. Shape (t,). [s]
-        y: Simulated outputs there by name, NaN where a simulation failed. Shape (t, k) each. [per output]
-    """
-
-    points: dict[str, ValidatedPoint]
-    time: FloatArray
-    y: dict[str, FloatArray]
-
-
-def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) -> Validation:
+def validate(
+    case: Case, model: ForwardModel, points: Mapping[str, FloatArray]
+) -> tuple[Validated, Trajectories]:
     """Simulate parameter sets over the validation period of a case and compare them.
 
     Args:
@@ -42,7 +30,7 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
         points: Parameter sets by name. Shape (p,) each. [per parameter]
 
     Returns:
-        How they do.
+        How they do, and their simulations, from before the period on.
     """
     assert case.validation is not None, "asked of a case that has one"
     measurement, window = case.validation.measurement, case.measurement
@@ -53,24 +41,20 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
     has_window = is_later and np.array_equal(measurement.time[:n_window], window.time)
     mse = measurement.mse(answer.y)
     mse_window = window.mse(answer.y[:, :n_window]) if has_window else np.full(len(points), np.inf)
-    shown = measurement.from_first_sample
-    return Validation(
-        points={
-            name: ValidatedPoint(
-                mse_window=float(mse_window[row]) if np.isfinite(mse_window[row]) else None,
-                mse=float(mse[row]) if np.isfinite(mse[row]) else None,
-                failure=answer.failures[row],
-                outputs={
-                    output.name: output_fit(measurement, k, output.unit, answer.y[row])
-                    for k, output in enumerate(case.validation.outputs)
-                    if np.isfinite(mse[row])
-                },
-            )
-            for row, name in enumerate(points)
-        },
-        time=shown.time,
-        y=dict(zip(points, answer.y[:, len(measurement.time) - len(shown.time) :], strict=True)),
-    )
+    found = {
+        name: ValidatedPoint(
+            mse_window=float(mse_window[row]) if np.isfinite(mse_window[row]) else None,
+            mse=float(mse[row]) if np.isfinite(mse[row]) else None,
+            failure=answer.failures[row],
+            outputs={
+                output.name: output_fit(measurement, k, output.unit, answer.y[row])
+                for k, output in enumerate(case.validation.outputs)
+                if np.isfinite(mse[row])
+            },
+        )
+        for row, name in enumerate(points)
+    }
+    return Validated(case.validation.window_d, found), answer
 
 
 def with_validation(study: Study, found: Calibration, points: Mapping[str, FloatArray]) -> Calibration:
@@ -84,14 +68,17 @@ def with_validation(study: Study, found: Calibration, points: Mapping[str, Float
     case = study.case
     if case.validation is None:
         return found
+    points = {**_estimates(case), **points}
     with open_physical_model(study, case=case.validation) as model:
-        validation = validate(case, model, {**_estimates(case), **points})
+        validated, answer = validate(case, model, points)
+    time = case.validation.measurement.from_first_sample.time
+    y = dict(zip(points, answer.y[:, -len(time) :], strict=True))
     return replace(
         found,
-        validation=Validated(case.validation.window_d, validation.points),
-        validation_time=validation.time,
-        validation_y=validation.y[list(points)[-1]],
-        validation_y_screened=validation.y.get("screened"),
+        validation=validated,
+        validation_time=time,
+        validation_y=y[list(points)[-1]],
+        validation_y_screened=y.get("screened"),
     )
 
 

@@ -81,7 +81,6 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
             pip_requirements=[f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")],
             signature=ModelSignature(Schema(inputs), outputs),
             input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
-            metadata={"label": spec.label, "study": spec.name, "output_unit": spec.output_unit},
         )
     unit, client = difference_unit(spec.output_unit), runs.client
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())

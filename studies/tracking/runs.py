@@ -4,10 +4,12 @@ The only module, with `registry`, that speaks to MLflow's client.
 """
 
 import math
+import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
@@ -16,6 +18,9 @@ from studies.paths import ProjectPaths, cannot_open, folder_name
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow
 
+if TYPE_CHECKING:
+    from studies.stages.pipeline import Study
+
 Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
 NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
@@ -23,6 +28,7 @@ CURVE = "curve/"
 SCHEME = "studies-project"
 """Of artifacts that lie in the project, see `studies.tracking.artifacts`."""
 MAX_METRICS = 1000  # of one call, MLflow's limit
+_REFUSED = re.compile(r"[^/\w.\- :]")
 
 
 class RunStore:
@@ -129,3 +135,74 @@ class RunStore:
     def end(self, run_id: str, status: RunStatus, *, end_s: float | None = None) -> None:
         """End a run."""
         self.client.set_terminated(run_id, status, None if end_s is None else round(1000.0 * end_s))
+
+
+@lru_cache(maxsize=4)
+def run_store(paths: ProjectPaths) -> RunStore:
+    """Return the project's runs; opening them costs MLflow's import, so it is done once per process."""
+    return RunStore(paths)
+
+
+def log_stage(
+    study: "Study",
+    kind: str,
+    name: str,
+    *,
+    key: str,
+    wall_s: float,
+    note: str = "",
+    params: Mapping[str, Any] | None = None,
+    metrics: Mapping[str, float | None] | None = None,
+    curves: Mapping[str, Iterable[tuple[int, float]]] | None = None,
+    tags: Mapping[str, Any] | None = None,
+    figures: Sequence[Path] = (),
+    artifacts: Sequence[Path] = (),
+    record: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a stage that has just ended as a run of its own, unless it is there with the same numbers.
+
+    A run that a killed command left unfinished is ended as KILLED.
+
+    Args:
+        study: the study; its label is MLflow's experiment.
+        kind: what it is, for example "calibration" or "sensitivity".
+        name: name a user reads, for example "n0064 calibration".
+        key: digest of the stage's inputs; a stage logged before with the same key and metrics is not logged
+            again.
+        wall_s: its duration. [s]
+        note: Markdown, shown on the run's page; "" for that of the case.
+        params: settings.
+        metrics: results, one number each; what is no finite number is left out.
+        curves: results over steps: pairs of step and value, for example the best MSE over model calls.
+        tags: what to search for beside the case.
+        figures: image files.
+        artifacts: other files.
+        record: what makes it again, kept as `provenance.json`; nothing where nothing does.
+    """
+    runs, now_s, case = run_store(study.paths), time.time(), study.case
+    numbers = {metric_name(k): v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
+    for run in runs.find(study.label, {"stage_key": key, "role": kind}):
+        if run.info.status == "FINISHED" and all(run.data.metrics.get(k) == v for k, v in numbers.items()):
+            return
+        if run.info.status == "RUNNING":
+            runs.end(run.info.run_id, "KILLED")
+    about = {"role": kind, "stage_key": key, "case": case.name, "case_sha256": case.digest}
+    about |= {NOTE: note or case.note, **(tags or {})}
+    run_id = runs.begin(study.label, name, about, start_s=now_s - wall_s)
+    runs.log(run_id, params=params, metrics=numbers)
+    points = [
+        entities.Metric(metric_name(curve), value, round(1000.0 * now_s), step)
+        for curve, along in (curves or {}).items()
+        for step, value in along
+    ]
+    runs.log_points(run_id, points)
+    runs.log_files(run_id, figures, "figures")
+    runs.log_files(run_id, artifacts)
+    if record:
+        runs.client.log_dict(run_id, dict(record), "provenance.json")
+    runs.end(run_id, "FINISHED", end_s=now_s)
+
+
+def metric_name(name: str) -> str:
+    """Return a metric's name without the signs that MLflow refuses: `wall[1].R` becomes `wall_1_.R`."""
+    return _REFUSED.sub("_", name)

@@ -1,6 +1,5 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
-import json
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -8,7 +7,6 @@ from typing import TYPE_CHECKING
 import optuna
 from mlflow.exceptions import MlflowException
 
-from studies.tracking.quiet_mlflow import entities
 from studies.tracking.registry import register_best
 from studies.tracking.runs import RunStore
 from studies.tracking.trial_run import end_run
@@ -17,7 +15,6 @@ from studies.tuning.declaration import Declaration
 if TYPE_CHECKING:
     from studies.tuning.study_results import TrialView, TunedStudy
 
-_CONTEXTS = {"train": "training", "validation": "validation", "test": "testing"}
 BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
 
@@ -36,23 +33,7 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
     params = {"n_train": spec.n_train, "n_trials": n_trials, "seed": spec.seed}
     params |= {"sampler": spec.sampler["name"], "pruner": spec.pruner["name"]}
     runs.log(made, params=params | {f"search.{name}": one for name, one in spec.search.items()})
-    with suppress(MlflowException):  # another machine writes the same data sets at this moment
-        runs.client.log_inputs(made, [_data_set(spec, name) for name in _CONTEXTS])
     return made
-
-
-def _data_set(spec: Declaration, name: str) -> entities.DatasetInput:
-    """Describe a set as MLflow shows it: its digest, its columns and where it lies."""
-    names = (*spec.parameter_names, *spec.output_names)
-    columns = [{"type": "double", "name": column, "required": True} for column in names]
-    described = entities.Dataset(
-        f"{spec.case_name} {name}" + (f" n={spec.n_train}" if name == "train" else ""),
-        spec.digests[name][:32],
-        "local",
-        json.dumps({"set": spec.files[name]}),
-        schema=json.dumps({"mlflow_colspec": columns}),
-    )
-    return entities.DatasetInput(described, [entities.InputTag("mlflow.data.context", _CONTEXTS[name])])
 
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:

@@ -13,7 +13,6 @@ from urllib.parse import quote, urlencode
 from simulation.errors import InputError, MachineError
 from simulation.pool.family import end_with_parent
 from studies.console import Console
-from studies.interrupts import interrupt_handled
 from studies.paths import ProjectPaths
 
 HOST, FIRST_PORT, N_PORTS = "127.0.0.1", 5000, 100
@@ -74,7 +73,6 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
                 server.wait()
             raise MachineError(f"MLflow ended by itself; {paths.show(paths.mlruns / LOG_FILE)} says why")
         except KeyboardInterrupt:
-            interrupt_handled()
             console.say("ui: stopped")
             return 0
         finally:
@@ -86,7 +84,7 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
 
 def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
     """Return the addresses of a label's best trials, of all its runs, and of the registered models."""
-    from studies.tracking.stage_run import run_store
+    from studies.tracking.runs import run_store
 
     experiments = run_store(paths).client.search_experiments(order_by=["last_update_time DESC"])
     known = {one.name: one.experiment_id for one in experiments if one.name != "Default"}

@@ -32,7 +32,6 @@ class TrialView:
         metrics: errors by name; empty unless the trial is complete. [output's unit]
         run_id: MLflow's run, empty without one.
         proposed_by: "default", "profile", "start-up" or the sampler's name.
-        reason: why it ended.
         wall_s: duration of the training. [s]
         n_epochs: epochs trained.
         best_epoch: epoch whose weights were kept.
@@ -47,7 +46,6 @@ class TrialView:
     metrics: Mapping[str, float]
     run_id: str
     proposed_by: str
-    reason: str
     wall_s: float
     n_epochs: int
     best_epoch: int
@@ -225,7 +223,6 @@ def _view(trial: FrozenTrial) -> TrialView:
         metrics=attempts.errors_of(trial) if trial.state == TrialState.COMPLETE else {},
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),
         proposed_by=str(trial.user_attrs.get("proposed_by", usual)),
-        reason=str(trial.user_attrs.get("reason", "")),
         wall_s=float(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),
         n_epochs=int(training.get("n_epochs", trial.last_step or 0)),
         best_epoch=int(training.get("best_epoch", 0)),

@@ -17,6 +17,7 @@ from optuna.trial import FrozenTrial
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.report.wording import setting, significant
+from studies.stages.pipeline import StageError
 from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
@@ -30,10 +31,6 @@ MAX_DEATHS = 3
 """Deaths of a worker in a row that brought no trial to its end."""
 # Else every worker would start a thread per core.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-
-
-class TuningError(RuntimeError):
-    """A worker failed for a reason that is not a trial's."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ class _Size:
 
         Raises:
             InputError: a worker found the study unusable.
-            TuningError: a worker failed, or died again and again before it ended a trial.
+            StageError: a worker failed, or died again and again before it ended a trial.
         """
         for worker in [one for one in self.workers if one.poll() is not None]:
             with self.workers.pop(worker) as messages:
@@ -114,14 +111,14 @@ class _Size:
             if worker.returncode == 2:
                 raise InputError(said)
             if worker.returncode > 0:
-                raise TuningError(f"a worker of {name} failed: {said}")
+                raise StageError(f"tune: a worker of {name} failed: {said}")
             n_ended = sum(trial.state.is_finished() for part in self.parts for trial in part.trials)
             self.n_deaths = self.n_deaths + 1 if n_ended <= self.n_ended else 1
             self.n_ended = n_ended
             if self.n_deaths > MAX_DEATHS:
-                raise TuningError(
-                    f"a worker of {name} was killed by signal {-worker.returncode} {self.n_deaths} times "
-                    f"before it ended a trial ({said})"
+                raise StageError(
+                    f"tune: a worker of {name} was killed by signal {-worker.returncode} "
+                    f"{self.n_deaths} times before it ended a trial ({said})"
                 )
 
     def stop(self) -> None:
@@ -174,7 +171,7 @@ def tune(
 
     Raises:
         InputError: a study cannot be run as declared, or the storage cannot be used.
-        TuningError: a worker failed for a reason that is not a trial's.
+        StageError: a worker failed for a reason that is not a trial's.
         KeyboardInterrupt: after the workers were stopped and their trials given back.
     """
     with storage_of(paths) as storage:

@@ -196,9 +196,9 @@ def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated() -> None:
     ("settings", "message"),
     [
         ({"max_calls": 0}, "max_calls is 0; give a whole number of at least 1"),
+        ({"max_calls": 10.5}, "max_calls is 10.5; give a whole number of at least 1"),
         ({"ftol": math.nan}, "ftol is nan; give at least 0"),
-        ({"margin": 0.5}, r"margin is 0\.5"),
-        ({"radius": 0.01}, r"radius 0\.01; give 0 < least_radius <= radius <= 1"),
+        ({"target_mse": -1.0}, "target_mse is -1.0; give at least 0"),
     ],
 )
 def test_useless_settings_are_refused(settings: dict[str, float], message: str) -> None:

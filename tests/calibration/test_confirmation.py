@@ -1,7 +1,6 @@
 """What is tested before a search has converged, and where."""
 
 import numpy as np
-import pytest
 from problems_for_tests import TRUE_RC, rc_problem
 from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
@@ -57,9 +56,9 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     assert np.median(gains) < SEARCH.promised
 
 
-def looked(least_restarts: int, gains: FloatArray) -> Confirmation:
+def looked(gains: FloatArray) -> Confirmation:
     """Make all tests and restarts that are owed, none of which gains anything."""
-    confirmation = Confirmation(least_restarts)
+    confirmation = Confirmation()
     while True:
         assert not confirmation.is_tested
         confirmation.note_test(gains)
@@ -69,16 +68,14 @@ def looked(least_restarts: int, gains: FloatArray) -> Confirmation:
         confirmation.n_restarts += 1
 
 
-@pytest.mark.parametrize("least_restarts", [0, 1])
-def test_where_nothing_is_promised_tests_and_restarts_in_vain_converge(least_restarts: int) -> None:
-    confirmation = looked(least_restarts, NOTHING)
-    assert confirmation.n_restarts == confirmation.restarts_owed
+def test_where_nothing_is_promised_tests_and_restarts_in_vain_converge() -> None:
+    confirmation = looked(NOTHING)
+    assert confirmation.n_restarts == SEARCH.restarts_owed
     assert confirmation.ending(switches=False).converged
 
 
-@pytest.mark.parametrize("least_restarts", [0, 1])
-def test_what_is_promised_and_not_found_is_said(least_restarts: int) -> None:
-    confirmation = looked(least_restarts, MUCH)
+def test_what_is_promised_and_not_found_is_said() -> None:
+    confirmation = looked(MUCH)
     assert not confirmation.ending(switches=False).converged
     assert (
         f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"

@@ -22,7 +22,7 @@ def surroundings(radius: float = 0.3) -> Surroundings:
 
 def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    asked, favourite = favourites(around, N_ASKED, 0.1, rng)
+    asked, favourite = favourites(around, N_ASKED, rng)
     return asked, informative(around, asked, favourite, N_MORE, rng)
 
 
@@ -37,5 +37,5 @@ def test_they_teach_more_than_as_many_favourites() -> None:
         known = np.linalg.solve(covariance[:n, :n] + noise, covariance[:n, n:])
         return float(np.trace(covariance[n:, n:] - covariance[n:, :n] @ known))
 
-    liked, _ = favourites(around, N_ASKED + N_MORE, 0.1, np.random.default_rng(0))
+    liked, _ = favourites(around, N_ASKED + N_MORE, np.random.default_rng(0))
     assert left_unknown(np.concatenate(proposed(around, 0))) < 0.9 * left_unknown(liked)

@@ -12,8 +12,7 @@ def test_a_generation_is_one_batch_of_rows_not_columns() -> None:
     diary = Diary(problem.model)
     result = DifferentialEvolution(popsize=8, maxiter=5, tol=0.0).minimize(problem.on(diary), seed=0)
     assert [batch.shape for batch in diary.batches] == [(16, 2)] * 6
-    assert result.n_generations == 5
-    assert result.n_evaluations == 96
+    assert result.n_calls == 96
 
 
 def test_there_is_no_hidden_polish_after_the_last_generation() -> None:

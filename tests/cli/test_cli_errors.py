@@ -11,6 +11,7 @@ import pytest
 from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.errors import InputError
+from studies.cli import is_interrupt
 from studies.stages.saved import read_arrays
 
 CASE = "fmus/office/case.toml"
@@ -175,6 +176,22 @@ def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:
     file.write_bytes(b"no archive" * 100)
     with pytest.raises(InputError, match=r"calibrate-n0064\.npz is damaged; .* --again"):
         read_arrays(file)
+
+
+def fail_while_interrupted() -> None:
+    try:
+        raise KeyboardInterrupt
+    finally:
+        raise ValueError("half written")
+
+
+def test_an_error_that_a_ctrl_c_led_to_is_distinguished_from_others() -> None:
+    with pytest.raises(ValueError, match="half written") as found:
+        fail_while_interrupted()
+    assert is_interrupt(found.value)
+    assert is_interrupt(KeyboardInterrupt())
+    assert not is_interrupt(ValueError("half written"))
+    assert not is_interrupt(None)
 
 
 @pytest.mark.parametrize("command", ["status", "best"])

@@ -43,12 +43,6 @@ def test_a_deleted_working_folder_is_one_line(tmp_path: Path) -> None:
     assert "the working folder was deleted" in lines[0]
 
 
-def test_too_little_memory_is_one_line(project: Path) -> None:
-    code, lines = below("ulimit -v 600000", "check", folder=project)
-    assert (code, len(lines)) == (1, 1)
-    assert "ulimit -v" in lines[0]
-
-
 def test_no_room_is_one_line(project: Path) -> None:
     mount = ["unshare", "-m", "sh", "-c", "mount -t tmpfs none /mnt"]
     if shutil.which("unshare") is None or subprocess.run(mount, capture_output=True, check=False).returncode:

@@ -68,16 +68,6 @@ def test_the_fmu_that_holds_the_recording_is_read(
     assert imported(project) == expected
 
 
-def test_kelvin_becomes_degrees_celsius(project: Path, studies: Run, tmp_path: Path) -> None:
-    recording = made_up_recording()
-    time, room = recording["TRoom"]
-    recording["TRoom"] = (time, room + 273.15)
-    answer = studies("import-recording", str(write_matlab(tmp_path / "data.mat", recording)), "--json")
-    assert answer.document["converted_from_kelvin"] == ["TRoom_degC"]
-    first = imported(project)[0].splitlines()[1].split(",")
-    assert float(first[1]) == pytest.approx(room[0], abs=1e-6)
-
-
 def cut(recording: Recording, name: str, rows: slice) -> None:
     recording[name] = (recording[name][0][rows], recording[name][1][rows])
 
@@ -92,9 +82,9 @@ def make_gap(recording: Recording) -> None:
     recording["IrrGH"] = (np.delete(time, 20), np.delete(values, 20))
 
 
-def use_fahrenheit(recording: Recording) -> None:
+def use_kelvin(recording: Recording) -> None:
     time, values = recording["TRoom"]
-    recording["TRoom"] = (time, values * 1.8 + 32.0)
+    recording["TRoom"] = (time, values + 273.15)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +92,7 @@ def use_fahrenheit(recording: Recording) -> None:
     [
         (shorten, ["days", "10"]),
         (make_gap, ["IrrGH", "37800", "1800", "36000"]),
-        (use_fahrenheit, ["TRoom_degC", "unit"]),
+        (use_kelvin, ["TRoom_degC", "unit"]),
     ],
 )
 def test_a_wrong_recording_is_refused_and_nothing_written(

@@ -49,10 +49,6 @@ class Made:
     absent: FloatArray | None = None
     has_failures: bool = False
 
-    @property
-    def news(self) -> str:
-        return f"{self.n} reused"
-
 
 RESULT = Made(7, Fit(0.5, share_within=0.1 + 0.2), np.inf, np.array([1.0, np.nan]))
 
@@ -66,17 +62,16 @@ class Worker:
         self.file = study.results / "result.txt"
 
     def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome[Made]:
-        stage = Stage(self.study, "work", "working", inputs, Made)
-        before = stage.finished()
-        if before is not None:
-            return before
-        with stage.work() as work:
+        def work() -> Made:
             self.n_done += 1
             if self.is_interrupted:
                 raise KeyboardInterrupt
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self.file.write_text("result")
-            return work.keep(self.result, [self.file], is_finished=keep)
+            return self.result
+
+        stage = Stage(self.study, "work", "working", inputs, Made)
+        return stage.once(work, files=[self.file], is_kept=lambda _: keep)
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +93,7 @@ def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.Capture
     assert second.result.absent is None
     np.testing.assert_array_equal(second.result.y, RESULT.y)
     assert second.wall_s == pytest.approx(first.wall_s, abs=1e-3)
-    assert "work: finished before, 7 reused" in capsys.readouterr().err
+    assert "work: finished before" in capsys.readouterr().err
 
 
 def test_other_inputs_or_a_missing_or_changed_file_mean_again(study: Study) -> None:

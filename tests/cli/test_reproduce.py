@@ -121,9 +121,9 @@ def lost_fmu(root: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (changed_case, "fmus/wall/case.toml: the file itself changed since this was made; restore it"),
-        (changed_recording, "changed since this was made; restore it"),
-        (changed_fmu, "fmus/wall/case.toml: its FMU or its inputs changed since this was made; restore it"),
+        (changed_case, "fmus/wall/case.toml: the file itself changed since 'studies calibrate wall"),
+        (changed_recording, "; restore it, or repeat that command"),
+        (changed_fmu, "fmus/wall/case.toml: its FMU or its inputs changed since 'studies calibrate wall"),
         (lost_fmu, "Wall.fmu"),
     ],
 )

@@ -14,7 +14,6 @@ import pytest
 from optuna.trial import TrialState
 from project_for_tests import REPOSITORY, Run
 from studies_for_tests import (
-    MAX_EPOCHS,
     SPACE,
     WALL_S,
     declared,
@@ -67,12 +66,9 @@ def test_every_study_has_a_line_and_the_counts_are_those_of_its_trials(project: 
         assert f" {words} " in f"{of_64} "
     assert {"3/3", "done"} <= set(of_128.split())
     assert {"n_latent", "n_hidden", "beta", "MAE", "P90", "PCA+GP"} <= set(shown.split())
-    assert "2 studies: 15 of 23 trials done, 1 pruned, 1 failed, 15.0 min of training" in shown
 
 
-def test_running_trials_are_shown_with_their_epoch_and_waiting_ones_are_counted(
-    project: Path, studies: Run
-) -> None:
+def test_running_and_waiting_trials_are_counted(project: Path, studies: Run) -> None:
     written = write_study(project, declared("office-quick", 64), n_trials=10, n_planned=20)
     study = optuna.load_study(study_name=written.study_name, storage=f"sqlite:///{project}/mlruns/optuna.db")
     running = study.ask(SPACE)
@@ -80,11 +76,6 @@ def test_running_trials_are_shown_with_their_epoch_and_waiting_ones_are_counted(
     study.enqueue_trial({"n_latent": 32})
     (found,) = studies("status", "--json").document["studies"]
     assert (found["n_running"], found["n_waiting"], found["to_go_s"]) == (1, 1, 10 * WALL_S)
-    shown = studies("status").out
-    (line,) = (line for line in shown.splitlines() if "trial 10" in line)
-    assert f"100/{MAX_EPOCHS}" in line
-    assert " 0.500 " in line
-    assert "1 running, 1 waiting" in shown
 
 
 def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run) -> None:

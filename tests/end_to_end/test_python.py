@@ -1,6 +1,5 @@
 """The commands as functions: the same numbers as the command line, from a script without a main guard."""
 
-import argparse
 import importlib
 import json
 import subprocess
@@ -11,8 +10,8 @@ import numpy as np
 import pytest
 from mlflow_store_for_tests import give_store
 
-from studies import CalibrationResult, InputError, StageError, api, calibrate, load_case, run
-from studies.cli import build_parser, main
+from studies import CalibrationResult, InputError, StageError, calibrate, load_case, run
+from studies.cli import main
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
@@ -83,14 +82,6 @@ def test_a_result_is_drawn_and_shown(found: CalibrationResult) -> None:
     assert repr(found).startswith("wall-quick-seed1/adaptive: MSE 0.0019")
 
 
-@pytest.mark.parametrize("command", ["run", "tune", "calibrate"])
-def test_every_option_of_a_command_is_a_keyword(command: str) -> None:
-    (commands,) = (one for one in build_parser()._actions if isinstance(one, argparse._SubParsersAction))
-    options = {action.dest for action in commands.choices[command]._actions}
-    keywords = getattr(api, f"{command.capitalize()}Options").__annotations__
-    assert options - {"help", "case", "json", "dry_run"} == set(keywords)
-
-
 def test_keywords_are_words_of_the_command_line() -> None:
     with pytest.raises(InputError, match="has no surrogate of this case for n_train = 32 64"):
         calibrate("wall", n_train=(32, 64), from_stored=False, target=None)
@@ -108,7 +99,7 @@ def test_what_is_wrong_is_said_in_a_line() -> None:
     with pytest.raises(InputError, match=r"argument --max-calls: .*-3"):
         calibrate("wall", max_calls=-3)
     with pytest.raises(TypeError, match=r"calibrate\(\) got an unexpected keyword argument 'trials'"):
-        calibrate("wall", trials=3)  # type: ignore[call-arg]
+        calibrate("wall", trials=3)
 
 
 def test_a_run_with_errors_in_the_case_is_a_stage_that_failed(project: Path) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
+from optuna.trial import TrialState
 from toy_study_for_tests import (
     N_TUNED,
     SEARCH,
@@ -109,13 +110,13 @@ def test_a_diverging_trial_fails_with_its_reason_and_costs_no_other(project: Pro
     found = read_study(plain_study(project, spec.name))
     assert [trial.state for trial in found.trials] == ["complete", "failed", "complete"]
     assert [trial.proposed_by for trial in found.trials] == ["default", "profile", "profile"]
-    failed = found.trials[1]
-    assert failed.reason.startswith("TrainingDiverged: ")
-    assert not failed.metrics
+    reason = plain_study(project, spec.name).trials[1].user_attrs["reason"]
+    assert reason.startswith("TrainingDiverged: ")
+    assert not found.trials[1].metrics
     tune([spec], paths=project, n_trials=3, n_jobs=1)
     assert_mlflow_agrees(project, spec.label, spec.name)
     (run,) = runs_of(project, spec.label, trial_state="fail")
-    assert run.data.tags["reason"] == failed.reason
+    assert run.data.tags["reason"] == reason
     assert not [name for name in run.data.metrics if name.startswith(("val/", "test/"))]
 
 
@@ -123,9 +124,9 @@ def test_a_trial_that_reaches_its_time_limit_counts_as_pruned(project: ProjectPa
     endless = toy_study(16).settings | {"max_epochs": 1_000_000, "patience": 1_000_000}
     spec = toy_study(16, settings=endless, max_trial_s=0.2)
     prepared(project, spec, 1).run()
-    (trial,) = read_study(plain_study(project, spec.name)).trials
-    assert trial.state == "pruned"
-    assert trial.reason.startswith("reached its limit of 0.2 s at epoch ")
+    (trial,) = plain_study(project, spec.name).trials
+    assert trial.state == TrialState.PRUNED
+    assert trial.user_attrs["reason"].startswith("reached its limit of 0.2 s at epoch ")
     assert trial.value is not None
 
 
