@@ -174,7 +174,7 @@ def test_a_process_of_its_own_answers_the_same(project: Path, arguments: list[st
 def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "calibrate-n0064.npz"
     file.write_bytes(b"no archive" * 100)
-    with pytest.raises(InputError, match=r"calibrate-n0064\.npz is damaged; .* --again"):
+    with pytest.raises(InputError, match=r"npz is damaged; remove it and repeat its command"):
         read_arrays(file)
 
 
