@@ -162,11 +162,6 @@ class Kernel:
         near, far = self.warped(hyper, x), self.warped(hyper, others)
         return self.on_trunk(hyper, self.bumps(hyper, near, far), self.products(hyper, near, far))
 
-    def variances(self, hyper: Tensor, x: Tensor) -> Tensor:
-        """Return the diagonal of `matrix` at points themselves: (h,), (n, f) -> (n,)."""
-        product = (self.warped(hyper, x) / self.lengths(hyper)[0]).square().sum(-1)
-        return self.on_trunk(hyper, self.weights(hyper).sum(), product)
-
     def on_trunk(self, hyper: Tensor, bumps: Tensor, product: Tensor) -> Tensor:
         """Add constant and polynomial.
 

@@ -11,8 +11,6 @@ Learning.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import torch
@@ -40,9 +38,15 @@ def kernel_loss(
     """
     n, half = len(x), 0.5 * n_independent
     with torch.no_grad():
-        covariances = _Covariances.of(kernel, torch.from_numpy(hyper).to(x.device), x)
+        at = torch.from_numpy(hyper).to(x.device)
+        warped = kernel.warped(at, x)
+        bumps = (kernel.near(at, warped) @ kernel.far(at, warped)).exp2_()  # (s, n, n)
+        product = kernel.products(at, warped, warped)
+        matrix = kernel.on_trunk(at, bumps.sum(dim=0), product)
+        # Last, as the noise has a share of the trace without it.
+        matrix.diagonal().add_(kernel.noise(at, matrix))
         # A code, not an exception: without a factor the value is infinite, and the search goes on.
-        factor, failed = torch.linalg.cholesky_ex(covariances.matrix)
+        factor, failed = torch.linalg.cholesky_ex(matrix)
         if failed:
             return math.inf, np.zeros(len(hyper))
         slopes = torch.cholesky_inverse(factor)
@@ -54,77 +58,60 @@ def kernel_loss(
         value = n_independent * (log_factor + 0.5 * n * torch.log(misfit / n))
         # K^-1 - alpha alpha' over the amplitude, in place: the inverse is needed no more.
         slopes.addmm_(solved * (-half * n / misfit), solved.T, beta=half)
-        gradient = covariances.pulled_back(slopes)
+        gradient = _pulled_back(kernel, at, (x, warped), bumps, product, slopes)
     mean, deviation = prior
     step = (hyper - mean) / deviation
     return float(value) + 0.5 * float(np.square(step).sum()), gradient.cpu().numpy() + step / deviation
 
 
-@dataclass(eq=False)
-class _Covariances:
-    """The covariances of rows by a kernel, noise included, and what their derivatives need.
+def _pulled_back(
+    kernel: Kernel,
+    hyper: Tensor,
+    features: tuple[Tensor, Tensor],
+    bumps: Tensor,
+    product: Tensor,
+    slopes: Tensor,
+) -> Tensor:
+    """Return the derivatives by the hyperparameters of what has these slopes by covariances.
 
-    Attributes:
-        kernel: Its form.
+    Args:
+        kernel: Form of the kernel.
         hyper: Hyperparameters. Shape (h,).
-        x: Features. Shape (n, f). [1]
-        warped: The features warped. Shape (n, f). [1]
-        bumps: Of every scale. Shape (s, n, n); `pulled_back` overwrites them.
+        features: Plain and warped. Shapes (n, f). [1]
+        bumps: Of every scale; overwritten. Shape (s, n, n).
         product: Of warped features, divided by the first scale's lengths. Shape (n, n).
-        matrix: The covariances. Shape (n, n).
+        slopes: Symmetric; overwritten. Shape (n, n).
+
+    Returns:
+        Shape (h,).
     """
+    x, warped = features
+    inverse = kernel.lengths(hyper).square().reciprocal()  # (s, f)
+    diagonal = slopes.diagonal()
+    # Before the diagonal changes, which is a view of the slopes.
+    trace = diagonal.sum()
+    noise = 2.0 * (2.0 * hyper[-1]).exp() * trace
+    diagonal.add_(JITTER * trace)  # the noise has a share of the covariances' trace
 
-    kernel: Kernel
-    hyper: Tensor
-    x: Tensor
-    warped: Tensor
-    bumps: Tensor
-    product: Tensor
-    matrix: Tensor
+    # In place: s more matrices of n x n would be the largest allocation of a step.
+    each = bumps.mul_(slopes)  # (s, n, n)
+    sums = each.sum(dim=2)  # (s, n)
+    # sum_j E_ij (w_i - w_j), without the n x n x f differences.
+    apart = sums[..., None] * warped - each @ warped  # (s, n, f)
+    by_length = 2.0 * inverse * (warped * apart).sum(dim=1)  # (s, f)
+    by_warped = -2.0 * (inverse[:, None] * apart).sum(dim=0)  # (n, f)
+    by_weight = sums[1:].sum(dim=1)
 
-    @classmethod
-    def of(cls, kernel: Kernel, hyper: Tensor, x: Tensor) -> Self:
-        warped = kernel.warped(hyper, x)
-        bumps = (kernel.near(hyper, warped) @ kernel.far(hyper, warped)).exp2_()
-        product = kernel.products(hyper, warped, warped)
-        matrix = kernel.on_trunk(hyper, bumps.sum(dim=0), product)
-        # Last, as the noise has a share of the trace without it.
-        matrix.diagonal().add_(kernel.noise(hyper, matrix))
-        return cls(kernel, hyper, x, warped, bumps, product, matrix)
+    by_square, total = [], torch.zeros_like(slopes)
+    for power, square in enumerate(kernel.polynomial(hyper), start=1):
+        # Before the next product: the derivative of <w, w'>^power has the power before.
+        total.addcmul_(slopes, power * square)
+        slopes.mul_(product)
+        by_square.append(2.0 * square * slopes.sum())
+    turned = inverse[0] * (total @ warped)
+    by_length[0] -= 2.0 * (warped * turned).sum(dim=0)
+    by_warped += 2.0 * turned
 
-    def pulled_back(self, slopes: Tensor) -> Tensor:
-        """Return the derivatives by the hyperparameters, (h,), of what has slopes (n, n) by covariances.
-
-        The slopes are symmetric; bumps and slopes are overwritten.
-        """
-        kernel, warped = self.kernel, self.warped
-        inverse = kernel.lengths(self.hyper).square().reciprocal()  # (s, f)
-        diagonal = slopes.diagonal()
-        # Before the diagonal changes, which is a view of the slopes.
-        trace = diagonal.sum()
-        noise = 2.0 * (2.0 * self.hyper[-1]).exp() * trace
-        diagonal.add_(JITTER * trace)  # the noise has a share of the covariances' trace
-
-        # In place: s more matrices of n x n would be the largest allocation of a step.
-        each = self.bumps.mul_(slopes)  # (s, n, n)
-        sums = each.sum(dim=2)  # (s, n)
-        # sum_j E_ij (w_i - w_j), without the n x n x f differences.
-        apart = sums[..., None] * warped - each @ warped  # (s, n, f)
-        by_length = 2.0 * inverse * (warped * apart).sum(dim=1)  # (s, f)
-        by_warped = -2.0 * (inverse[:, None] * apart).sum(dim=0)  # (n, f)
-        by_weight = sums[1:].sum(dim=1)
-
-        by_square, total = [], torch.zeros_like(slopes)
-        for power, square in enumerate(kernel.polynomial(self.hyper), start=1):
-            # Before the next product: the derivative of <w, w'>^power has the power before.
-            total.addcmul_(slopes, power * square)
-            slopes.mul_(self.product)
-            by_square.append(2.0 * square * slopes.sum())
-        turned = inverse[0] * (total @ warped)
-        by_length[0] -= 2.0 * (warped * turned).sum(dim=0)
-        by_warped += 2.0 * turned
-
-        by_warp = (by_warped * kernel.warped_slope(self.hyper, self.x, warped)).sum(dim=0)
-        by_others = torch.stack([*by_square, noise])
-        # In the order of `Kernel.prior`.
-        return torch.cat([by_length.flatten(), by_weight, by_warp, by_others])
+    by_warp = (by_warped * kernel.warped_slope(hyper, x, warped)).sum(dim=0)
+    # In the order of `Kernel.prior`.
+    return torch.cat([by_length.flatten(), by_weight, by_warp, torch.stack([*by_square, noise])])

@@ -8,7 +8,7 @@ without draws. As an emulator of simulation models the form is that of Higdon et
 doi:10.1198/016214507000000888.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -32,7 +32,7 @@ class _Member(NamedTuple):
     """
 
     hyper: Tensor  # (h,)
-    columns: Tensor  # (c,)
+    share: Tensor  # in its codes, elsewhere 0: (c, z)
     bumps: list[tuple[Tensor, Tensor]]  # k rows in s scales: (f + 1 + s, s * k), coefficients (s * k, c)
     constant: Tensor  # (c,)
     slope: Tensor  # (f, c)
@@ -52,9 +52,6 @@ class LinearVae(nn.Module):
         share: Of every process in each code, often 0; they sum up to 1. Shape (m, z).
         coefficients: Inverse of each member's covariances times the codes that it has a share in. Shape
             (m, n, z).
-        amplitude: Variance of each code under each member. Shape (m, z).
-        rest: Variance of the outputs outside the basis. Shape (d,).
-        inflation: Factor that makes the stated deviation true on the validation set. Shape (d,).
     """
 
     basis: Tensor
@@ -62,29 +59,20 @@ class LinearVae(nn.Module):
     hyper: Tensor
     share: Tensor
     coefficients: Tensor
-    amplitude: Tensor
-    rest: Tensor
-    inflation: Tensor
 
-    def __init__(
-        self,
-        kernel: Kernel,
-        factors: Sequence[Tensor] | None = None,
-        **buffers: Tensor,
-    ) -> None:
+    def __init__(self, kernel: Kernel, buffers: Mapping[str, Tensor]) -> None:
         """Set up predictions from what was fitted.
 
         Args:
             kernel: Form of the kernels.
-            factors: Cholesky factors of every member's covariances, if they are known. m of (n, n).
             buffers: The tensors among the attributes, by name.
         """
         super().__init__()
         self.kernel = kernel
-        for name in ("basis", "x", "hyper", "share", "coefficients", "amplitude", "rest", "inflation"):
+        # Surrogates that were saved before November 2026 have tensors beside these.
+        for name in ("basis", "x", "hyper", "share", "coefficients"):
             self.register_buffer(name, buffers[name])
         self._known: list[_Member] | None = None
-        self._factors = factors
 
     @property
     def rows_at_once(self) -> int:
@@ -102,46 +90,16 @@ class LinearVae(nn.Module):
 
     def regressor_mean(self, theta: Tensor) -> Tensor:
         """Mean of varphi(theta), Eq. 6: theta (b, f) -> (b, z)."""
-        total = theta.new_zeros(len(theta), len(self.basis))
-        for place, member in enumerate(self._members()):
-            share = self.share[place, member.columns]
-            total = total.index_add(1, member.columns, share * self._member_mean(member, theta))
-        return total
-
-    def regressor_mean_by_products(self, theta: Tensor) -> Tensor:
-        """The same for ONNX: torch 2.13 exports `index_add` as another sum. theta (b, f) -> (b, z)."""
         total = theta.new_zeros(1, len(self.basis))
-        for place, member in enumerate(self._members()):
-            share = torch.diag(self.share[place])[member.columns]  # (c, z)
-            total = total + self._member_mean(member, theta) @ share
-        return total
-
-    def regressor_variance(self, theta: Tensor) -> Tensor:
-        """Variance of varphi(theta), the members' disagreement included: theta (b, f) -> (b, z)."""
-        center = self.regressor_mean(theta)
-        total = torch.zeros_like(center)
-        for place, (member, factor) in enumerate(zip(self._members(), self._cholesky_factors(), strict=True)):
-            columns = member.columns
-            covariance = self.kernel.matrix(member.hyper, self.x, theta)  # (n, b)
-            explained = torch.linalg.solve_triangular(factor, covariance, upper=False).square().sum(dim=0)
-            # At a training row equal numbers are subtracted: rounding must not leave a negative variance.
-            unexplained = (self.kernel.variances(member.hyper, theta) - explained).clamp_min(0.0)
-            away = self._member_mean(member, theta) - center[:, columns]
-            # Variance of a mixture: mean of the members' variances plus that of their distance from the mean.
-            of_member = unexplained[:, None] * self.amplitude[place, columns] + away.square()
-            total = total.index_add(1, columns, self.share[place, columns] * of_member)
+        for member in self._members():
+            # A product with zeros, not `index_add`: torch 2.13 exports that to ONNX as another sum.
+            total = total + self._member_mean(member, theta) @ member.share
         return total
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
         """Eq. 6-7, without x: theta (b, f) -> x (b, d); draws cancel where decoding is linear."""
         del eps
         return self.decoder(self.regressor_mean(theta))
-
-    def deviation(self, theta: Tensor) -> Tensor:
-        """Standard deviation of what `predict` says: theta (b, f) -> (b, d)."""
-        # Codes count as independent, so their variances add up; the rest is what no code describes.
-        variance = self.regressor_variance(theta) @ self.basis.square() + self.rest
-        return variance.sqrt() * self.inflation
 
     def _member_mean(self, member: _Member, theta: Tensor) -> Tensor:
         """Return a member's mean in its codes: theta (b, f) -> (b, c)."""
@@ -185,15 +143,9 @@ class LinearVae(nn.Module):
             bend = (across.T @ products).permute(1, 0, 2).reshape(across.shape[1], -1)
         return _Member(
             hyper=hyper,
-            columns=columns,
+            share=torch.diag(self.share[place])[columns],
             bumps=bumps,
             constant=CONSTANT * coefficients.sum(dim=0),
             slope=squares[0] * (across.T @ coefficients),
             bend=bend,
         )
-
-    def _cholesky_factors(self) -> Sequence[Tensor]:
-        """Return every member's factor of the rows' covariances, made when first asked for. m of (n, n)."""
-        if self._factors is None:
-            self._factors = [torch.linalg.cholesky(self.kernel.noisy(hyper, self.x)) for hyper in self.hyper]
-        return self._factors

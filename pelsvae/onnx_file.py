@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pelsvae.linear_vae import LinearVae
 from pelsvae.surrogate import Surrogate
 
 INPUT, OUTPUT = "theta", "y"
@@ -79,8 +78,5 @@ class _Physical(nn.Module):
     def forward(self, theta: Tensor) -> Tensor:
         """Parameters theta (n, p) -> y (n, t, k)."""
         features = self.theta_standardizer.features(theta, self.eps.dtype)
-        if isinstance(self.network, LinearVae):
-            x = self.network.decoder(self.network.regressor_mean_by_products(features))
-        else:
-            x = self.network.predict(features, self.eps)
+        x = self.network.predict(features, self.eps)
         return x.to(torch.float64).reshape(-1, *self.mean.shape) * self.deviation + self.mean

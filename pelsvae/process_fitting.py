@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,7 +24,6 @@ MANY_ROWS = 1024
 # 1.8 % less error at n = 32, 0.9 % at 256, none at 1,024; factors 1.3 and 2 gain less from 64 on.
 _STRETCH = 1.5  # of these lengths
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
-_SHARE = 0.9  # of the validation values that the band shall cover
 
 
 def fit_processes(
@@ -33,7 +31,6 @@ def fit_processes(
     training: tuple[Tensor, Tensor],
     validation: tuple[Tensor, Tensor],
     *,
-    n_outputs: int,
     validation_error: Callable[[LinearVae], float],
     seed: int,
     on_epoch: Callable[[EpochReport], None] | None,
@@ -46,9 +43,8 @@ def fit_processes(
         config: Scales, degree, members and iterations.
         training: Features of theta, in random order, and standardized trajectories, float64. Shapes (n, f)
             and (n, d). [1]
-        validation: As training, of rows that say what each kernel's process is worth and how far the stated
-            deviations are right. Shapes (b, f) and (b, d). [1]
-        n_outputs: Outputs k of a model; d is times x k.
+        validation: As training, of rows that say what each kernel's process is worth. Shapes (b, f) and
+            (b, d). [1]
         validation_error: Judges a network.
         seed: Of the searches' starts.
         on_epoch: Called with searches, in parts of `max_epochs`, whose errors are of a part of the rows; last
@@ -74,7 +70,7 @@ def fit_processes(
     # Threads of the optimizer's small linear algebra would wait for each other most of the time.
     with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"):
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)
-        basis, rest = _principal_components(x, config.n_latent)
+        basis = _principal_components(x, config.n_latent)
         codes = x @ basis.T  # (n, z)
         rows = _Rows(kernel, features, codes)
         found: list[Candidate] = []
@@ -84,29 +80,15 @@ def fit_processes(
             if one.n_rows and epoch > last:
                 last = epoch
                 # One kernel for all codes: shares are chosen at the end, and this shows how far it is.
-                alone = _Members(one.hyper[None], np.ones((1, len(basis))))
-                report(_assembled(rows.first(one.n_rows), basis, rest, alone), one.loss, epoch)
+                alone = _assembled(rows.first(one.n_rows), basis, one.hyper[None], np.ones((1, len(basis))))
+                report(alone, one.loss, epoch)
         # By place, so the result does not depend on the order in which searches end.
         found.sort(key=lambda one: one.place)
         known = validation[0], validation[1] @ basis.T
-        members = _members(rows, known, found, config.n_members)
-        network = _assembled(rows, basis, rest, members)
-        _inflate(network, *validation, n_outputs)
+        network = _assembled(rows, basis, *_members(rows, known, found, config.n_members))
         of_all_codes = next(one.loss for one in found if one.is_final)
         report(network, of_all_codes, config.max_epochs)
     return network
-
-
-class _Members(NamedTuple):
-    """The Gaussian processes that are averaged, and their shares.
-
-    Attributes:
-        hypers: Of the processes. Shape (m, h).
-        share: Of the processes in the codes. Shape (m, z).
-    """
-
-    hypers: Array
-    share: Array
 
 
 class _Rows:
@@ -120,7 +102,7 @@ class _Rows:
 
     def __init__(self, kernel: Kernel, features: Tensor, codes: Tensor) -> None:
         self.kernel, self.features, self.codes = kernel, features, codes
-        self._known: dict[bytes, tuple[Tensor, Tensor]] = {}
+        self._known: dict[bytes, Tensor] = {}
 
     def __len__(self) -> int:
         return len(self.features)
@@ -129,14 +111,14 @@ class _Rows:
         """Return the first n rows; all are these."""
         return self if n >= len(self) else _Rows(self.kernel, self.features[:n], self.codes[:n])
 
-    def solved(self, hyper: Array) -> tuple[Tensor, Tensor]:
-        """Return the factor of a process's covariances (n, n), and their inverse times the codes (n, z)."""
+    def solved(self, hyper: Array) -> Tensor:
+        """Return the inverse of a process's covariances times the codes. Shape (n, z)."""
         # A fit once factorized the same 4,096 rows three times.
         known = self._known.get(hyper.tobytes())
         if known is None:
             at = torch.from_numpy(hyper).to(self.features.device)
             factor = torch.linalg.cholesky(self.kernel.noisy(at, self.features))
-            known = factor, torch.cholesky_solve(self.codes, factor)
+            known = torch.cholesky_solve(self.codes, factor)
             if len(self) > CHOOSING_ROWS:  # where few processes are left
                 self._known[hyper.tobytes()] = known
         return known
@@ -147,8 +129,12 @@ def _members(
     validation: tuple[Tensor, Tensor],
     found: list[Candidate],
     n_members: int,
-) -> _Members:
-    """Choose members by the validation set, whose codes are known as the training set's are."""
+) -> tuple[Array, Array]:
+    """Choose members by the validation set, whose codes are known as the training set's are.
+
+    Returns:
+        Hyperparameters of the members, shape (m, h), and their shares in the codes, shape (m, z).
+    """
     n, z = rows.codes.shape
     if n < MANY_ROWS:
         found = [*found, *_stretched(rows.kernel, found)]
@@ -165,7 +151,7 @@ def _members(
         predicted = _predicted(rows.first(n_rows), validation[0], hypers)
         chosen = best_shares(predicted, true, believed, n_most)
         hypers, believed = hypers[chosen.members], believed[chosen.members]
-    return _Members(hypers, chosen.share)
+    return hypers, chosen.share
 
 
 def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
@@ -179,58 +165,33 @@ def _predicted(rows: _Rows, points: Tensor, hypers: Array) -> Array:
     """Return the codes that processes predict at points, (b, f) -> (m, b, z)."""
 
     def codes_at_points(hyper: Array) -> Array:
-        at, (_, solved) = torch.from_numpy(hyper).to(points.device), rows.solved(hyper)
-        return (rows.kernel.matrix(at, points, rows.features) @ solved).cpu().numpy()
+        at = torch.from_numpy(hyper).to(points.device)
+        return (rows.kernel.matrix(at, points, rows.features) @ rows.solved(hyper)).cpu().numpy()
 
     return np.array([codes_at_points(hyper) for hyper in hypers])
 
 
-def _inflate(network: LinearVae, features: Tensor, x: Tensor, n_outputs: int) -> None:
-    """Scale the stated deviations so that 90 % bands cover 90 % of rows that were not trained on.
-
-    Each output has a factor of its own. Shapes (b, f) and (b, d).
-    """
-    error = (x - network.decoder(network.regressor_mean(features))).abs()
-    ratio = (error / network.deviation(features).clamp_min(1e-12)).reshape(-1, n_outputs)
-    by_output = torch.quantile(_thinned(ratio), _SHARE, dim=0)
-    # Half width of a normal 90 % band, 1.645 deviations.
-    normal = math.sqrt(2.0) * float(torch.erfinv(torch.tensor(_SHARE, dtype=torch.float64)))
-    network.inflation.mul_((by_output / normal).clamp_min(1e-6).repeat(x.shape[1] // n_outputs))
-
-
-def _thinned(values: Tensor) -> Tensor:
-    """Return at most a million rows, evenly: torch.quantile takes no more than 16 million values."""
-    return values[:: 1 + len(values) // 1_000_000]
-
-
-def _principal_components(x: Tensor, n_latent: int) -> tuple[Tensor, Tensor]:
-    """Return as many components as matter, (z, d), and the variance outside them, (d,)."""
+def _principal_components(x: Tensor, n_latent: int) -> Tensor:
+    """Return as many components as matter. Shape (z, d)."""
     # Of the trajectories themselves: their d x d covariance would be larger and of squared condition.
     _, singular, components = torch.linalg.svd(x, full_matrices=False)
     explained = singular.square().cumsum(dim=0)
     needed = int((explained < (1.0 - _LEFT_OUT) * explained[-1]).sum()) + 1
     # A copy, as a view would hold all components in memory.
-    basis = components[: min(needed, n_latent)].clone()
-    outside = x - (x @ basis.T) @ basis
-    return basis, outside.square().mean(dim=0)
+    basis: Tensor = components[: min(needed, n_latent)].clone()
+    return basis
 
 
-def _assembled(rows: _Rows, basis: Tensor, rest: Tensor, members: _Members) -> LinearVae:
+def _assembled(rows: _Rows, basis: Tensor, hypers: Array, shares: Array) -> LinearVae:
     """Solve for the coefficients of every process."""
-    factors, solved = zip(*(rows.solved(hyper) for hyper in members.hypers), strict=True)
-    coefficients = torch.stack(solved)  # (m, n, z)
+    coefficients = torch.stack([rows.solved(hyper) for hyper in hypers])  # (m, n, z)
     device = rows.features.device
-    share = torch.from_numpy(members.share).to(device)
-    return LinearVae(
-        rows.kernel,
-        factors,
-        basis=basis,
-        x=rows.features,
-        hyper=torch.from_numpy(members.hypers).to(device),
-        share=share,
-        coefficients=coefficients * (share > 0)[:, None],
-        # y' K^-1 y / n is the most probable amplitude, which the likelihood profiled out.
-        amplitude=(rows.codes * coefficients).sum(dim=1) / len(rows),
-        rest=rest,
-        inflation=torch.ones_like(rest),
-    )
+    share = torch.from_numpy(shares).to(device)
+    buffers = {
+        "basis": basis,
+        "x": rows.features,
+        "hyper": torch.from_numpy(hypers).to(device),
+        "share": share,
+        "coefficients": coefficients * (share > 0)[:, None],
+    }
+    return LinearVae(rows.kernel, buffers)

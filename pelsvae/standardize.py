@@ -134,8 +134,4 @@ class OutputStandardizer:
         Returns:
             Shape (n, t, k). [output's unit]
         """
-        return self.stretched(x) + self.mean
-
-    def stretched(self, x: Array) -> Array:
-        """Map flat network outputs (n, t * k) [1] to deviations from the mean (n, t, k). [output's unit]."""
-        return x.reshape(-1, *self.mean.shape) * self.deviation
+        return x.reshape(-1, *self.mean.shape) * self.deviation + self.mean

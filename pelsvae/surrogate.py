@@ -1,6 +1,5 @@
-"""A trained PELS-VAE as a function: parameters in, trajectories and Jacobian out, in float64 NumPy."""
+"""A trained PELS-VAE as a function: parameters in, trajectories out, in float64 NumPy."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -50,78 +49,21 @@ class Surrogate:
         Raises:
             ValueError: The shape is wrong, or a parameter that enters by its logarithm is not positive.
         """
-        predict, physical = self.network.predict, self.output_standardizer.physical
-        return self._in_chunks(theta, lambda features: predict(features, self.eps), physical, n_jobs)
-
-    @property
-    def states_deviation(self) -> bool:
-        """Whether `deviation` can be asked."""
-        return isinstance(self.network, LinearVae)
-
-    def deviation(self, theta: npt.ArrayLike) -> Array:
-        """Return the standard deviation of predictions.
-
-        Args:
-            theta: Parameters; a row with NaN has deviations NaN. Shape (n, p). [per parameter]
-
-        Returns:
-            Standard deviation of a normal error: 1.645 of it to both sides cover 90 % of the values of the
-            validation set. Shape (n, t, k). [output's unit]
-
-        Raises:
-            ValueError: As for `predict`, or the surrogate states none.
-        """
-        network = self.network
-        if not isinstance(network, LinearVae):
-            raise ValueError("this surrogate states no deviation; regressor 'gaussian-process' does")
-        return self._in_chunks(theta, network.deviation, self.output_standardizer.stretched)
-
-    def jacobian(self, theta: npt.ArrayLike) -> Array:
-        """Differentiate the prediction at one parameter set.
-
-        Args:
-            theta: Parameters. Shape (p,). [per parameter]
-
-        Returns:
-            d y / d theta. Shape (t, k, p). [output's unit / parameter's unit]
-
-        Raises:
-            ValueError: As for `predict`.
-        """
-        point = self._checked(np.array(theta)[None])  # (1, p)
-        with torch.enable_grad(), n_threads_set(self.config.n_threads):
-            x = self.network.predict(self._features(point.requires_grad_()), self.eps)[0]  # (t * k,)
-            # Two reverse passes make a forward pass: v -> J'v is linear, so its derivative is J'. That is
-            # p gradients, not t * k; torch's own forward mode loads its deprecated script compiler.
-            v = torch.zeros_like(x, requires_grad=True)
-            (product,) = torch.autograd.grad(x, point, v, create_graph=True)  # J'v, (1, p)
-            unit = torch.eye(product.numel(), dtype=product.dtype, device=product.device)[:, None]
-            (transposed,) = torch.autograd.grad(product, v, unit, is_grads_batched=True)  # (p, t * k)
-        standardized = transposed.cpu().numpy().astype(np.float64)
-        return np.moveaxis(self.output_standardizer.stretched(standardized), 0, -1)
-
-    def _in_chunks(
-        self,
-        theta: npt.ArrayLike,
-        answer: Callable[[Tensor], Tensor],
-        scaled: Callable[[Array], Array],
-        n_jobs: int = 1,
-    ) -> Array:
-        """Return what features (b, f) are answered with, (b, t * k) scaled to (b, t, k), for all rows."""
         features = self._features(self._checked(theta))  # (n, f)
         size = self.network.rows_at_once if isinstance(self.network, LinearVae) else _CHUNK_ROWS
         size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else size
         y = np.empty((len(features), *self.output_standardizer.mean.shape))
 
-        def answer_from(start: int) -> None:
+        def predict_from(start: int) -> None:
             # Inference mode belongs to a thread.
             with torch.inference_mode():
-                y[start : start + size] = scaled(answer(features[start : start + size]).cpu().numpy())
+                x = self.network.predict(features[start : start + size], self.eps).cpu().numpy()
+                y[start : start + size] = self.output_standardizer.physical(x)
 
         starts = range(0, len(features), size)
         # Threads suffice: torch computes without the interpreter's lock.
         with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
-            list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(answer_from, starts))
+            list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(predict_from, starts))
         return y
 
     def _features(self, theta: Tensor) -> Tensor:

@@ -120,5 +120,5 @@ def _assembled(
         network.load_state_dict(learnt)
     else:
         kernel = Kernel(theta.n_features, config.n_scales, config.degree)
-        network = LinearVae(kernel, None, **learnt)
+        network = LinearVae(kernel, learnt)
     return Surrogate(config, network.to(device).eval(), eps.to(device), theta, output)

@@ -117,7 +117,6 @@ def fit(
                 # Double: in single precision errors were up to a third of the deviation at n = 1,024.
                 prepared(theta, y, torch.float64),
                 prepared(theta_validation, y_validation, torch.float64),
-                n_outputs=y.shape[2],
                 validation_error=lambda network: validation_error(surrogate_of(network, network.no_draw)),
                 seed=seed,
                 on_epoch=on_epoch,

@@ -20,27 +20,20 @@ from studies.calibration.ending import Ending
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.misfit_threshold import misfit_threshold
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.recorder import History, OnProgress, Recorder
+from studies.calibration.recorder import OnProgress, Recorder, SearchResult
 from studies.calibration.search_settings import SearchSettings
 
 
 @dataclass(frozen=True)
-class AdaptiveResult:
+class AdaptiveResult(SearchResult):
     """The best point that an adaptive calibration has seen.
 
+    It has converged where the target ended it, or little was expected and tests of that found nothing; not
+    after a budget, failures, a gain that may be left, or an error that is too large.
+
     Attributes:
-        u: In the unit cube. Shape (p,). [1]
-        theta: As parameters. Shape (p,). [per parameter]
-        y: Trajectory there. Shape (t, k). [output's unit]
-        mse: Mean squared error there, infinite when no simulation succeeded. [first output's unit squared]
-        objective: The same with a prior's penalty. [first output's unit squared]
-        n_calls: Rows asked of the model.
         n_rounds: What it takes with as many parallel workers as rows are asked for in a round.
         expected_gain: Part of the error that the surrogate last expected to gain. [1]
-        history: Best MSE over rows asked.
-        stop_reason: Why it ended, in words.
-        converged: True when the target ended it, or little was expected and tests of that found nothing;
-            False for a budget, failures, a gain that may be left, or an error that is too large.
         left: Where it did not converge, what may be left to gain and what the next round would try.
         is_flat: Parameters on which the error around the best point hardly depends over all of their ranges,
             as far as rows or state equations show. Shape (p,).
@@ -48,17 +41,8 @@ class AdaptiveResult:
             equations show; None where these are too few. Shape (p, p). [first output's unit per range]
     """
 
-    u: FloatArray
-    theta: FloatArray
-    y: FloatArray
-    mse: float
-    objective: float
-    n_calls: int
     n_rounds: int
     expected_gain: float
-    history: History
-    stop_reason: str
-    converged: bool
     left: str
     is_flat: BoolArray
     slopes: FloatArray | None
@@ -140,21 +124,14 @@ class Adaptive(SearchSettings):
             ending = Ending(f"{end}{missed}", converged=False)
         reason = ending.reason
         best = recorder.best
-        assert best is not None, "a budget of at least one row lets the first design be asked"
-        if best.failures[0]:
+        if best is not None and best.failures[0]:
             reason = f"no simulation succeeded, the first one: {best.failures[0]}; {reason}"
-        return AdaptiveResult(
-            u=best.u[0],
-            theta=best.theta[0],
-            y=best.y[0],
-            mse=float(best.mse[0]),
-            objective=float(best.objective[0]),
-            n_calls=recorder.n_calls,
+        return recorder.result(
+            AdaptiveResult,
+            reason,
+            converged=ending.converged,
             n_rounds=search.n_rounds,
             expected_gain=search.expected_gain,
-            history=recorder.history,
-            stop_reason=reason,
-            converged=ending.converged,
             left="" if ending.converged else search.left,
             is_flat=search.is_flat,
             slopes=search.slopes,

@@ -1,11 +1,19 @@
-"""The rows of an adaptive calibration: first design, search phases, restarts, trust region and proposals."""
+"""The rows of an adaptive calibration: first design, search phases, restarts, trust region and proposals.
+
+What a search does next follows from its rows and its phase, see `AdaptiveSearch._next`: ask the first design,
+search around a row, double the window, test, restart elsewhere or go back to the best row, end.
+"""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from studies.calibration.box_newton import Expansion
+from studies.calibration.coefficient import LEAST_TO_LEARN
 from studies.calibration.confirmation import least_unlikely
 from studies.calibration.ending import Confirmation, Ending, still_falling, too_large
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
@@ -16,13 +24,31 @@ from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.recorder import Recorder
-from studies.calibration.residual_process import Expansion, Features
-from studies.calibration.restart import farther_along, least_excluded
+from studies.calibration.residual_process import Features
+from studies.calibration.restart import farther_along, inside, least_excluded
 from studies.calibration.row_choice import missing_of_design
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.search_settings import SearchSettings
-from studies.calibration.state_equations import LEAST_TO_LEARN
 from studies.calibration.truncated_window import TruncatedWindow
+
+
+@dataclass
+class SearchPhase:
+    """Rounds around one row, until they gain too little.
+
+    Attributes:
+        first: It sees the rows from this one on; 0 where it is around the best row of all.
+        is_far: Whether it began in another valley.
+        lowest: Its lowest objective after every round. [unit squared]
+        n_idle: Rounds in a row that neither expected nor gained `ftol`.
+        n_stagnant: Rounds in a row that neither expected nor gained what makes a round worth while.
+    """
+
+    first: int = 0
+    is_far: bool = False
+    lowest: list[float] = field(default_factory=list)
+    n_idle: int = 0
+    n_stagnant: int = 0
 
 
 class AdaptiveSearch:
@@ -59,30 +85,29 @@ class AdaptiveSearch:
         self._residuals = np.empty((0, 0))
         self._penalty = np.empty(0)
         self._window = TruncatedWindow(problem.measurement)
-        self._is_judged = False
-        self._was_truncated = False
+        # None until a search has shown whether it explains enough.
+        self._was_truncated: bool | None = None
         self._has_probed = False
         self._hyper: tuple[FloatArray, ...] = ()
         self._penalty_expected: Penalty | None = self._prior
         self._failed_hyper: FloatArray | None = None
-        self._radius = settings.radius
-        # A search phase sees the rows from `first` on; its lowest objectives after every round.
-        self._first = 0
-        self._phase: list[float] = []
-        self._idle = self._n_stagnant = 0
-        self._confirmation = Confirmation(settings.least_restarts)
-        self._is_far = False
+        self._radius = SEARCH.radius
+        self._phase = SearchPhase()
+        self._confirmation = Confirmation()
         self.n_rounds = 0
         self.expected_gain = np.inf
-        self._n_known, self._n_design = 0, settings.design_size(p)
+        self._n_known, n_design = 0, settings.design_size(p)
         if known is not None and known.n:
             recorder.know(known)
             self._keep(known)
             self._n_known = known.n
-            self._n_design = missing_of_design(known, self._n_design)
-            if not self._n_design:
+            n_design = missing_of_design(known, n_design)
+            if not n_design:
                 # Rows all over the box may show a better valley than that of the best row.
                 self._radius = 1.0
+        self._n_design = n_design
+        # What surrogates are judged by, as far as the rows go.
+        self._n_first = self._n_known + n_design
 
     def run(self) -> Ending:
         """Ask rows until target, tolerance or restarts in vain; return why it ended.
@@ -90,45 +115,47 @@ class AdaptiveSearch:
         Raises:
             BudgetExceeded: The budget is spent.
         """
-        settings = self._settings
-        if self._n_design and not self._follows_ode:
-            design = latin_hypercube(self._n_design, self._p, self._rng)
-            design = settings.margin + (1.0 - 2.0 * settings.margin) * design
-            self._ask_first(design)
-        while True:
-            if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
-                return Ending("the target is reached", converged=True)
-            # What equations have left of the first design is asked once they are not believed.
-            if len(self._unasked) and not self._follows_ode:
-                self._ask_rest()
-                continue
-            # A process needs two rows that succeeded.
-            if np.isfinite(self._objective).sum() < 2:
-                self._ask(self._rng.random((settings.n_parallel, self._p)))
-                continue
-            self._adapt_window()
-            if self._fits_exactly:
-                return Ending(
-                    f"the best simulation leaves {SEARCH.exact:g} of the measured variance or less",
-                    converged=True,
-                )
-            if self._phase_is_over():
-                if not self._window.is_whole and self._is_at_best and self._may_double_window:
-                    self._double_window()
-                    continue
-                if self._is_at_best and self._follows_ode and self._idle:
-                    if not self._asks_unseen():
-                        return self._ending
-                    self._idle = 0
-                    continue
-                if self._has_settled and not self._follows_ode:
-                    if not self._confirmation.is_tested:
-                        self._test()
-                        continue
-                    if self._may_end:
-                        return self._ending
-                self._turn()
-            self._step()
+        if self._n_design and self._believed is None:
+            self._ask_first(inside(latin_hypercube(self._n_design, self._p, self._rng)))
+        while not isinstance(move := self._next(), Ending):
+            move()
+        return move
+
+    def _next(self) -> Callable[[], None] | Ending:
+        """Return what is done next, or why the search ends."""
+        target = self._settings.target_mse
+        if target is not None and self._recorder.best_mse <= target:
+            return Ending("the target is reached", converged=True)
+        # What equations have left of the first design is asked once they are not believed.
+        if len(self._unasked) and self._believed is None:
+            return self._ask_rest
+        # A process needs two rows that succeeded.
+        if np.isfinite(self._objective).sum() < 2:
+            return self._ask_anywhere
+        self._adapt_window()
+        if self._fits_exactly:
+            return Ending(
+                f"the best simulation leaves {SEARCH.exact:g} of the measured variance or less",
+                converged=True,
+            )
+        if not self._phase_is_over:
+            return self._search
+        if self._is_at_best and not self._window.is_whole and self._may_double_window:
+            return self._double_window
+        if self._believed is not None:
+            if not self._is_at_best:
+                return self._turn
+            beyond = self._beyond_rows(self._believed)
+            if beyond is None:
+                return self._ending_by_equations
+            self._phase.n_idle = 0
+            return beyond
+        if self._has_settled:
+            if not self._confirmation.is_tested:
+                return self._test
+            if self._may_end:
+                return self._ending
+        return self._turn
 
     @property
     def _fits_exactly(self) -> bool:
@@ -141,13 +168,27 @@ class AdaptiveSearch:
     @property
     def _has_settled(self) -> bool:
         """Whether around the best row of all nothing more is expected, and not for failures alone."""
-        has_ended = self._is_at_best and self._n_stagnant >= SEARCH.stagnant_rounds
+        has_ended = self._is_at_best and self._phase.n_stagnant >= SEARCH.stagnant_rounds
         return has_ended and self._window.is_whole and self._has_whole_region
 
     @property
     def _has_whole_region(self) -> bool:
         """Whether no failures have shrunk the trust region below where bad steps end to."""
-        return self._radius >= self._settings.least_radius
+        return self._radius >= SEARCH.least_radius
+
+    @property
+    def _phase_is_over(self) -> bool:
+        """Whether the search phase has converged or gains too little."""
+        phase, is_at_best = self._phase, self._is_at_best
+        if self._believed is not None:
+            return phase.n_idle >= SEARCH.stagnant_rounds
+        is_away = self._window.is_whole and not is_at_best
+        if phase.n_stagnant >= (SEARCH.stagnant_rounds_away if is_away else SEARCH.stagnant_rounds):
+            return True
+        rounds = SEARCH.stall_rounds if is_at_best else SEARCH.stall_rounds_away
+        owed = SEARCH.stall_gain if is_at_best else SEARCH.stall_gain_away
+        lowest = phase.lowest
+        return len(lowest) > rounds and lowest[-1] > (1.0 - owed) * lowest[-1 - rounds]
 
     def _test(self) -> None:
         """Ask where a lower error is least unlikely, all over the box; go on from what is better."""
@@ -161,13 +202,13 @@ class AdaptiveSearch:
         )
         self._ask(places)
         if self._objective.min() < (1.0 - self._settings.ftol) * before:
-            self._first, self._phase, self._idle, self._n_stagnant = 0, [], 0, 0
+            self._phase = SearchPhase()
             return
         # What fails confirms nothing.
         if np.isfinite(self._objective[n_before:]).any():
             self._confirmation.note_test(gains)
         # What was learnt may show a step from the best row.
-        self._n_stagnant = SEARCH.stagnant_rounds - 1
+        self._phase.n_stagnant = SEARCH.stagnant_rounds - 1
 
     def _ask_first(self, design: FloatArray) -> None:
         """Ask a first design, round by round where state equations may take less of it."""
@@ -187,33 +228,29 @@ class AdaptiveSearch:
         self._unasked, rest = self._unasked[:0], self._unasked
         self._ask(rest)
 
-    def _asks_unseen(self) -> bool:
-        """Simulate where states go beyond what rows have shown, as where a valve closes: it may fit better.
+    def _ask_anywhere(self) -> None:
+        """Ask a round of random rows."""
+        self._ask(self._rng.random((self._settings.n_parallel, self._p)))
 
-        Returns:
-            Whether there was anything to ask.
-        """
-        ode = self._ode
-        if ode is None or not ode.is_believed:
-            return False
+    def _beyond_rows(self, ode: LearnedODE) -> Callable[[], None] | None:
+        """Return what may show that the model does more than equations know, None for nothing."""
         n = math.ceil(SEARCH.n_probes / self._settings.n_parallel) * self._settings.n_parallel
         is_affordable = self._settings.max_calls - self._recorder.n_calls >= n
         # Two signs of a part of the model that no row has shown (docs/notes/state-equations.md, Ranges
         # that no row has shown): an error too large for the sensor, and parameters in no equation.
         if not self._has_probed and is_affordable and (self._is_too_large or ode.left_out.any()):
-            self._has_probed = True
-            best = self._u[int(np.argmin(self._objective))]
-            self._ask(ode.unseen(best, n, self._rng))
-            return True
-        if self._is_too_large and len(self._unasked):
-            self._ask_rest()
-            return True
-        return False
+            return partial(self._probe, ode, n)
+        return self._ask_rest if self._is_too_large and len(self._unasked) else None
+
+    def _probe(self, ode: LearnedODE, n: int) -> None:
+        """Ask n rows where states go beyond what rows have shown, as where a valve closes."""
+        self._has_probed = True
+        self._ask(ode.unseen(self._u[int(np.argmin(self._objective))], n, self._rng))
 
     @property
-    def _follows_ode(self) -> bool:
-        """Whether state equations propose the next point: they are known in the whole box."""
-        return self._ode is not None and self._ode.is_believed
+    def _believed(self) -> LearnedODE | None:
+        """The state equations where they propose the next point: they are known in the whole box."""
+        return self._ode if self._ode is not None and self._ode.is_believed else None
 
     @property
     def _is_sure(self) -> bool:
@@ -232,14 +269,13 @@ class AdaptiveSearch:
 
     def _adapt_window(self) -> None:
         """Truncate the window, once, of a search that explains too little; double it once it is explained."""
-        if self._follows_ode:
+        if self._believed is not None:
             # State equations predict the whole trajectory.
             while not self._window.is_whole:
                 self._double_window()
             return
-        n_judged = self._n_known + self._n_design + self._settings.design_size(self._p)
-        if not self._is_judged and self._objective.size >= n_judged and not self._is_falling:
-            self._is_judged = True
+        n_judged = self._n_first + self._settings.design_size(self._p)
+        if self._was_truncated is None and self._objective.size >= n_judged and not self._is_falling:
             self._was_truncated = self._unexplained > SEARCH.unexplained
             if self._was_truncated:
                 self._window.shorten(to_features=self._switches)
@@ -255,9 +291,8 @@ class AdaptiveSearch:
 
     @property
     def _may_double_window(self) -> bool:
-        """Whether the window is nearly explained, or restarts have not explained it."""
-        is_tried = self._confirmation.n_restarts >= self._settings.least_restarts
-        return is_tried or self._unexplained <= SEARCH.nearly_explained
+        """Whether the window is nearly explained, or a restart has not explained it."""
+        return self._confirmation.n_restarts > 0 or self._unexplained <= SEARCH.nearly_explained
 
     def _double_window(self) -> None:
         """Double the window and go on from the row that is best then."""
@@ -267,10 +302,8 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present window and begin a search phase at the best."""
         self._judge()
-        self._first = 0
         self._confirmation.begin_again()
-        self._phase, self._idle, self._n_stagnant = [], 0, 0
-        self._radius = self._settings.radius
+        self._phase, self._radius = SearchPhase(), SEARCH.radius
 
     def _judge(self) -> None:
         error = np.mean(self._window.seen(self._residuals) ** 2, axis=1)
@@ -281,35 +314,36 @@ class AdaptiveSearch:
         """Share of a measured variance that the best row leaves unexplained. [1]."""
         return self._window.unexplained(self._residuals[int(np.argmin(self._objective))])
 
-    def _step(self) -> None:
+    def _search(self) -> None:
         """Make one round of a search phase."""
-        process = self._fit()
-        if self._first == self._objective.size:
+        process, phase = self._fit(), self._phase
+        if phase.first == self._objective.size:
             self._weigh_failures(float(self._objective.min()))
             self._ask(self._restart_points(process))
-            self._phase.append(self._phase_best)
+            phase.lowest.append(self._phase_best)
             return
         # A phase whose rows have all failed goes on from the best row.
-        first = self._first if np.isfinite(self._phase_best) else 0
+        first = phase.first if np.isfinite(self._phase_best) else 0
         best = first + int(np.argmin(self._objective[first:]))
-        centre, centre_objective = self._u[best], float(self._objective[best])
-        self._weigh_failures(centre_objective)
+        centre, lowest = self._u[best], float(self._objective[best])
+        self._weigh_failures(lowest)
         points, expected = self._propose(process, centre)
-        promise = centre_objective - expected.value
-        if self._is_sure and promise <= self._least_gain * centre_objective:
+        promise = lowest - expected.value
+        share = promise / lowest if lowest > 0.0 else 0.0
+        if self._is_sure and promise <= self._least_gain * lowest:
             # The equations are exact, so that rows add nothing: the optimum is only searched for again.
-            self.expected_gain = max(promise / centre_objective, 0.0) if centre_objective > 0.0 else 0.0
-            self._idle += 1
+            self.expected_gain = max(share, 0.0)
+            phase.n_idle += 1
             self._forget_proposal()
             return
-        is_settled = self._confirmation.n_tested and self._has_whole_region and not self._follows_ode
-        if is_settled and self._is_at_best and promise <= self._ftol * centre_objective:
+        is_settled = self._confirmation.n_tested and self._has_whole_region and self._believed is None
+        if is_settled and self._is_at_best and promise <= self._ftol * lowest:
             # Nothing that was asked since the first test has changed what is expected here.
-            self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
-            self._idle, self._n_stagnant = self._idle + 1, self._n_stagnant + 1
+            self.expected_gain = share
+            phase.n_idle += 1
+            phase.n_stagnant += 1
             return
-        predicted = self._ode.predicted if self._ode is not None else None
-        if self._is_far and not self._is_at_best:
+        if phase.is_far and not self._is_at_best:
             home = int(np.argmin(self._objective))
             is_end = np.abs(points[0] - centre).max() < SEARCH.at_the_edge * self._radius
             is_end |= np.abs(points[0] - self._u[home]).max() < SEARCH.came_back
@@ -317,30 +351,31 @@ class AdaptiveSearch:
             if is_end and is_surely_no_better(process, points[0], expected, float(self._objective[home])):
                 self._turn()
                 return
+        predicted = self._ode.predicted if self._ode is not None else None
         asked = self._objective.size
         self._ask(points)
         # The end of the budget may have cut off all points but the first ones.
         found = self._objective[asked:]
-        gain = max(centre_objective - self._phase_best, 0.0)
+        gain = max(lowest - self._phase_best, 0.0)
         self._resize(points[0] - centre, found, gain, promise)
-        self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
+        self.expected_gain = share
         stagnant = max(self._ftol, SEARCH.stagnant if self._window.is_whole else SEARCH.stagnant_in_window)
         # A round is in vain where neither found nor expected gains are left.
         hope = max(gain, promise)
         if predicted is None:
-            predicted = self._expand(process, points[0], self._settings.caution).value
+            predicted = self._expand(process, points[0], SEARCH.caution).value
         # A surrogate that errs at its favourite point ends no
         # search (docs/notes/adaptive-search.md, Truncated windows).
-        if is_surprised(float(found[0]), predicted, expected.value, centre_objective):
+        if is_surprised(float(found[0]), predicted, expected.value, lowest):
             hope = np.inf
-        self._idle = self._idle + 1 if hope <= self._ftol * centre_objective else 0
-        self._n_stagnant = self._n_stagnant + 1 if hope <= stagnant * centre_objective else 0
-        self._phase.append(self._phase_best)
+        phase.n_idle = phase.n_idle + 1 if hope <= self._ftol * lowest else 0
+        phase.n_stagnant = phase.n_stagnant + 1 if hope <= stagnant * lowest else 0
+        phase.lowest.append(self._phase_best)
 
     @property
     def _phase_best(self) -> float:
         """The phase's lowest objective so far."""
-        return float(self._objective[self._first :].min(initial=np.inf))
+        return float(self._objective[self._phase.first :].min(initial=np.inf))
 
     @property
     def _is_at_best(self) -> bool:
@@ -354,11 +389,6 @@ class AdaptiveSearch:
         return threshold is not None and self._recorder.best_mse > threshold
 
     @property
-    def _seeks_another_valley(self) -> bool:
-        """Whether the best error is above the misfit threshold, and there may be a deeper valley."""
-        return self._is_too_large and not self._is_tried and not self._follows_ode
-
-    @property
     def _is_tried(self) -> bool:
         """Whether restarts, or fewer of them and tests that promise no gain, were in vain."""
         known = self._confirmation
@@ -368,42 +398,43 @@ class AdaptiveSearch:
     @property
     def _switches(self) -> bool:
         """Whether the model switches at times that depend on its parameters, by rows that lie apart."""
-        first = self._is_sane[: self._n_known + self._n_design]
+        first = self._is_sane[: self._n_first]
         return self._window.switches(self._residuals[: first.size][first][-SEARCH.n_compared :])
 
     @property
     def _may_end(self) -> bool:
         """Whether the restarts that are owed were made and the best row is accepted."""
-        known = self._confirmation
-        # Where another number of switchings may be right, more restarts find it now and then.
-        has_restarted = known.n_restarts >= SEARCH.most_restarts or not known.restarts_owed
-        has_looked = self._follows_ode or (has_restarted if self._switches else known.has_looked)
         # With a target the search goes on, however little is expected.
-        is_wanted = self._settings.target_mse is not None and not self._follows_ode
-        return has_looked and not self._seeks_another_valley and not is_wanted
+        if self._settings.target_mse is not None or (self._is_too_large and not self._is_tried):
+            return False
+        # Where another number of switchings may be right, more restarts find it now and then.
+        known = self._confirmation
+        return known.n_restarts >= SEARCH.most_restarts if self._switches else known.has_looked
 
     @property
     def _ending(self) -> Ending:
-        """Why a search ends that expects nothing more."""
-        target = self._settings.target_mse
-        if self._follows_ode:
-            little = f"a gain of less than {self._least_gain:g} of the error"
-            missed = "" if target is None else f"; the target of {target:g} is missed"
-            nowhere = f", and nowhere {SEARCH.wanted:g} times the error" if self._is_too_large else ""
-            is_known = target is None or self._is_sure
-            beyond = f", but {self._ode_error}" if self._ode_error else ""
-            reason = f"the state equations expect {little}{nowhere}{missed}{beyond}"
-            return Ending(reason, converged=is_known and not beyond)
+        """Why a search by processes ends that expects nothing more."""
         if self._is_too_large:
             return too_large(self._confirmation)
         return self._confirmation.ending(switches=self._switches)
 
     @property
+    def _ending_by_equations(self) -> Ending:
+        """Why a search by state equations ends that expects nothing more."""
+        target = self._settings.target_mse
+        little = f"a gain of less than {self._least_gain:g} of the error"
+        missed = "" if target is None else f"; the target of {target:g} is missed"
+        nowhere = f", and nowhere {SEARCH.wanted:g} times the error" if self._is_too_large else ""
+        beyond = f", but {self._ode_error}" if self._ode_error else ""
+        reason = f"the state equations expect {little}{nowhere}{missed}{beyond}"
+        return Ending(reason, converged=(target is None or self._is_sure) and not beyond)
+
+    @property
     def _ode_error(self) -> str:
         """Say that believed state equations err by more than what makes an answer right, "" else."""
-        if self._ode is None or not self._ode.is_believed or self._ode.error_at_best <= SEARCH.promised:
+        if self._believed is None or self._believed.error_at_best <= SEARCH.promised:
             return ""
-        return f"differ from the best simulation by {self._ode.error_at_best:.2g} of its error"
+        return f"differ from the best simulation by {self._believed.error_at_best:.2g} of its error"
 
     @property
     def left(self) -> str:
@@ -412,7 +443,7 @@ class AdaptiveSearch:
             return ""
         if self._ode_error:
             return f"the state equations {self._ode_error}; --no-state-equations searches without them"
-        if len(self._unasked) or self._objective.size < self._n_known + self._n_design:
+        if len(self._unasked) or self._objective.size < self._n_first:
             return "the first design is not finished, and the next round would go on with it"
         if self._is_too_large and self._is_tried:
             return "a deeper valley may be left, or the model lacks something; another seed begins anew"
@@ -424,7 +455,7 @@ class AdaptiveSearch:
             return "simulations around the best point fail; the next round would begin away from it"
         if self._confirmation.n_tested or self._has_settled:
             return self._confirmation.still_owed(self._settings.ftol)
-        n = min(self._settings.stall_rounds * self._settings.n_parallel, self._objective.size - 1)
+        n = min(SEARCH.stall_rounds * self._settings.n_parallel, self._objective.size - 1)
         before = float(self._objective[: self._objective.size - n].min())
         gained = 1.0 - float(self._objective.min()) / before if np.isfinite(before) and before > 0.0 else 1.0
         return still_falling(n, gained, self.expected_gain)
@@ -453,9 +484,9 @@ class AdaptiveSearch:
             Shape (p, p), None where too little is known of the model. [first output's unit per range]
         """
         best = self._u[int(np.argmin(self._objective))]
-        if self._ode is not None and self._ode.is_believed:
+        if self._believed is not None:
             # R alone has the slopes' singular values and products, in p rows.
-            return np.asarray(np.linalg.qr(self._ode.slopes(best), mode="r"))
+            return np.asarray(np.linalg.qr(self._believed.slopes(best), mode="r"))
         process = self._last_process
         if process is None:
             return None
@@ -466,25 +497,10 @@ class AdaptiveSearch:
     @cached_property
     def _last_process(self) -> ProcessGroups | None:
         """The surrogate of all rows, once there are no more; None where they are a first design or less."""
-        is_enough = self._window.is_whole and self._objective.size > self._n_known + self._n_design
+        is_enough = self._window.is_whole and self._objective.size > self._n_first
         if not is_enough or not 0.0 < self._objective.min() < np.inf or self._is_sane.sum() < 2:
             return None
         return self._fit()
-
-    def _phase_is_over(self) -> bool:
-        """Whether the search phase has converged or, where restarts are allowed, gains too little."""
-        settings = self._settings
-        if self._follows_ode:
-            return self._idle >= min(settings.patience, SEARCH.stagnant_rounds)
-        is_away = self._window.is_whole and not self._is_at_best
-        if self._n_stagnant >= (settings.patience if is_away else SEARCH.stagnant_rounds):
-            return True
-        rounds, owed = settings.stall_rounds, settings.stall_gain
-        if not self._is_at_best:
-            rounds, owed = (rounds + 1) // 2, SEARCH.owed_after_restart
-        if settings.least_restarts == 0 or len(self._phase) <= rounds:
-            return False
-        return self._phase[-1] > (1.0 - owed) * self._phase[-1 - rounds]
 
     def _forget_proposal(self) -> None:
         """Forget the last point of the state equations, which is not simulated."""
@@ -494,14 +510,13 @@ class AdaptiveSearch:
     def _turn(self) -> None:
         """End a search phase: restart away from the best row, or go back to it."""
         self._forget_proposal()
-        may_restart = self._settings.least_restarts > 0 or self._settings.target_mse is not None
-        leaves = self._is_at_best and (may_restart or self._seeks_another_valley)
-        self._confirmation.n_restarts += leaves
+        if not self._is_at_best:
+            self._phase, self._radius = SearchPhase(), max(self._radius, SEARCH.least_radius)
+            return
+        self._confirmation.n_restarts += 1
         # A valley in which the error still falls is followed; from its bottom the search restarts far away.
-        self._is_far = leaves and self._n_stagnant >= SEARCH.stagnant_rounds
-        self._first = self._objective.size if leaves else 0
-        self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)
-        self._phase, self._idle, self._n_stagnant = [], 0, 0
+        is_far = self._phase.n_stagnant >= SEARCH.stagnant_rounds
+        self._phase, self._radius = SearchPhase(self._objective.size, is_far), SEARCH.radius
 
     def _ask(self, u: FloatArray) -> None:
         """Simulate rows, as many as the budget still holds, and keep what they answer."""
@@ -558,7 +573,7 @@ class AdaptiveSearch:
     def _is_sane(self) -> BoolArray:
         """Which rows a surrogate learns from: beside diverged simulations all others would seem alike."""
         finite = np.isfinite(self._objective)
-        design = self._objective[: self._n_known + self._n_design]
+        design = self._objective[: self._n_first]
         design = design[np.isfinite(design)]
         if not design.size:
             return finite
@@ -571,29 +586,21 @@ class AdaptiveSearch:
     def _restart_points(self, process: ProcessGroups) -> FloatArray:
         """Return where a restarted phase begins, one point for each parallel row."""
         expand, shape = partial(self._expand, process), (self._settings.n_parallel, self._p)
-        if self._is_far:
-            best, margin = float(self._objective.min()), self._settings.margin
-            return least_excluded(expand, best, shape, margin, self._rng)
-        return farther_along(expand, self._settings.caution, shape, self._settings.margin, self._rng)
+        if self._phase.is_far:
+            return least_excluded(expand, float(self._objective.min()), shape, self._rng)
+        return farther_along(expand, shape, self._rng)
 
     def _propose(self, process: ProcessGroups, centre: FloatArray) -> tuple[FloatArray, Expansion]:
         """Return the points to simulate next, the favourite first, and what is expected of it."""
         # In another valley, descents from random starts would lead back to the best row.
-        is_away = self._is_far and not self._is_at_best
-        surroundings = Surroundings(
-            process,
-            self._penalty_expected,
-            centre,
-            self._radius,
-            self._u,
-            1 if is_away else self._settings.n_descents,
-        )
-        n_parallel, caution = self._settings.n_parallel, self._settings.caution
-        if self._ode is not None and self._ode.is_believed:
-            point, favourite = self._ode.propose(self._objective, self._u, self._rng)
+        n_descents = 1 if self._phase.is_far and not self._is_at_best else SEARCH.n_descents
+        penalty, radius, n_parallel = self._penalty_expected, self._radius, self._settings.n_parallel
+        surroundings = Surroundings(process, penalty, centre, radius, self._u, n_descents)
+        if self._believed is not None:
+            point, favourite = self._believed.propose(self._objective, self._u, self._rng)
             points = point[None]
         else:
-            points, favourite = favourites(surroundings, (n_parallel + 1) // 2, caution, self._rng)
+            points, favourite = favourites(surroundings, (n_parallel + 1) // 2, self._rng)
         if len(points) < n_parallel:
             n_more = n_parallel - len(points)
             points = np.concatenate([points, informative(surroundings, points, favourite, n_more, self._rng)])
@@ -613,7 +620,7 @@ class AdaptiveSearch:
         elif gain < SEARCH.bad_step * expected:
             # A radius that failures have made smaller than the
             # least one is left as it is: no bad step widens it.
-            self._radius = max(self._radius * SEARCH.shrink, min(self._radius, self._settings.least_radius))
+            self._radius = max(self._radius * SEARCH.shrink, min(self._radius, SEARCH.least_radius))
         # A good step inside of the region shows no need of a wider one.
         elif gain > SEARCH.good_step * expected and np.abs(step).max() > SEARCH.at_the_edge * self._radius:
             self._radius = min(self._radius * SEARCH.grow, 1.0)

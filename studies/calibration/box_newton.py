@@ -1,16 +1,43 @@
 """Newton steps with Levenberg-Marquardt damping inside a box, for functions that cost nothing."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
-from studies.calibration.residual_process import Expansion
 
 MAX_STEPS = 40
 MAX_DAMPINGS = 12
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3
 FTOL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """An objective, or a part of it, around a point, to second order; parts add up.
+
+    Attributes:
+        value: What is minimized: squared mean prediction plus caution times the variance, or a penalty.
+            [unit squared]
+        mse: The error if the mean prediction is right, 0 for a penalty. [unit squared]
+        gradient: Of the value. Shape (p,). [unit squared]
+        hessian: Positive semidefinite part, as in Gauss-Newton's method. Shape (p, p). [unit squared]
+    """
+
+    value: float
+    mse: float
+    gradient: FloatArray
+    hessian: FloatArray
+
+    def __add__(self, other: "Expansion") -> "Expansion":
+        """Return the sum of two parts."""
+        return Expansion(
+            self.value + other.value,
+            self.mse + other.mse,
+            self.gradient + other.gradient,
+            self.hessian + other.hessian,
+        )
 
 
 def descend(

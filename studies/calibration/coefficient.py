@@ -2,10 +2,10 @@
 
 Coefficients of physical models are quotients and products of few parameters, such as 1 / (R C), or sums of
 a few such (product_forms.py), now and then a broken power or a polynomial: where few features explain a
-coefficient or its logarithm exactly they are what it is. All others are Gaussian processes, of their
-logarithm where they keep their sign.
+coefficient or its logarithm exactly they are what it is. Of all others nothing is known beyond the rows.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -14,7 +14,6 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.product_forms import Products, ProductSum, product_sum
-from studies.calibration.residual_kernel import Belief, KernelMatrix, between, inverse_factor, most_probable
 from studies.calibration.residual_process import Features
 
 # Sum of squares, as a share of all, below which features explain a coefficient exactly.
@@ -27,9 +26,10 @@ TINY = float(np.finfo(float).tiny)
 SPARE_ROWS = 2
 # Relative to the mean's square: below, a coefficient is a constant.
 CONSTANT = 1e-20
-# A product's logarithm is linear over the whole box, and its values have next to no noise.
-LENGTH_PRIOR, SLOPE_PRIOR, NOISE_PRIOR = (np.log(8.0), 1.5), (np.log(5.0), 1.0), (np.log(1e-3), 1.0)
-N_FITS = 3
+# Rows below which nothing is looked for.
+# With one or two amounts to find, four rows leave three
+# or two numbers that must fit to five digits (same note).
+LEAST_TO_LEARN = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,23 +62,17 @@ class Coefficient:
         sign: 1 or -1 of a coefficient that is an exponential, 0 of one that is not.
         mean: Of the values or their logarithms; where there are slopes, the value in the origin.
         slopes: By feature and by its square, where few explain it exactly. Shape (2 f,).
-        x: Rows of a process, in its features. Shape (n, f). [1]
-        hyper: Its hyperparameters. Shape (f + 2,). [1]
-        weights: What its covariances are multiplied with. Shape (n,).
         formula: What it is, where that is a sum of few products.
     """
 
     sign: float
     mean: float
     slopes: FloatArray | None = None
-    x: FloatArray | None = None
-    hyper: FloatArray | None = None
-    weights: FloatArray | None = None
     formula: ProductSum | None = None
 
     @classmethod
-    def fit(cls, points: Points, values: FloatArray, products: Products) -> Self:
-        """Learn it.
+    def fit(cls, points: Points, values: FloatArray, products: Products) -> Self | None:
+        """Learn it; return None where it is no formula, or too few rows show it.
 
         Args:
             points: The rows.
@@ -88,8 +82,9 @@ class Coefficient:
         is_known = np.isfinite(values)
         points, values = points.part(is_known), values[is_known]
         x = points.x
-        if not values.size:
-            return cls(0.0, 0.0)
+        # Where rows leave it open, a formula from fewer than these may be chance.
+        if len(values) < LEAST_TO_LEARN:
+            return None
         is_signed = bool((values > 0.0).all() or (values < 0.0).all())
         sign = float(np.sign(values[0])) if is_signed else 0.0
         # Logarithms turn products and quotients into sums, which few features explain.
@@ -106,41 +101,33 @@ class Coefficient:
         # so its values are tried beside their logarithms.
         sums = [(_feature_sum(x, z), sign), *([(_feature_sum(x, values), 0.0)] if is_signed else [])]
         (numbers, left), kind = min(sums, key=lambda one: one[0][1])
-        if left < EXACT:
-            return cls(kind, numbers[0], slopes=numbers[1:])
-        scale = np.sqrt(size / len(z))
-        # Standardized, so that one prior of the kernel suits coefficients of any unit and size.
-        v, even = (z - mean) / scale, np.ones(len(z))
-        prior = np.array([LENGTH_PRIOR] * x.shape[1] + [SLOPE_PRIOR, NOISE_PRIOR]).T
-        # A coefficient is one value per row, so that one value counts in the likelihood.
-        belief = Belief(prior[0], prior[1], 1.0)
-        hyper = None
-        # One fit stops after few iterations (residual_kernel.py); the next goes on from there.
-        for _ in range(N_FITS):
-            hyper = most_probable(x, np.outer(v, v), even, belief, hyper)
-        assert hyper is not None
-        factor = inverse_factor(KernelMatrix.of(x, hyper, even).matrix)
-        return cls(sign, mean, x=x, hyper=hyper, weights=scale * (factor.T @ (factor @ v)))
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether it is a formula, and no process."""
-        return self.x is None
+        return cls(kind, numbers[0], slopes=numbers[1:]) if left < EXACT else None
 
     def at(self, points: Points) -> FloatArray:
         """Return it at points. Shape (n,)."""
         if self.formula is not None:
             return self.formula.at(points.theta)
-        x = points.x
-        z = np.full(len(x), self.mean)
+        z = np.full(len(points.x), self.mean)
         if self.slopes is not None:
-            z += _with_squares(x) @ self.slopes
-        elif self.x is not None and self.hyper is not None and self.weights is not None:
-            z += between(x, self.x, self.hyper) @ self.weights
+            z += _with_squares(points.x) @ self.slopes
         # Far from the rows an exponential may overflow: what is
         # solved with it is not finite, and counts as failed.
         with np.errstate(over="ignore"):
             return self.sign * np.exp(z) if self.sign else z
+
+
+def formulas(points: Points, table: FloatArray, products: Products) -> tuple[Coefficient, ...] | None:
+    """Learn the coefficients that are the columns of a table (n, c); None where one is no formula."""
+    found = [Coefficient.fit(points, column, products) for column in table.T]
+    known = tuple(one for one in found if one is not None)
+    return known if len(known) == len(found) else None
+
+
+def values(table: Sequence[Coefficient], points: Points) -> FloatArray:
+    """Return c coefficients at n points. Shape (n, c)."""
+    if not table:
+        return np.empty((len(points.x), 0))
+    return np.stack([one.at(points) for one in table], axis=-1)
 
 
 def _with_squares(x: FloatArray) -> FloatArray:

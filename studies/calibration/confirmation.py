@@ -16,6 +16,7 @@ from studies.calibration.expected_objective import expected_objective
 from studies.calibration.failures import Penalty
 from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.restart import first_apart
 from studies.calibration.search_constants import SEARCH
 
 
@@ -61,13 +62,7 @@ def least_unlikely(
     # They come after all others, in the order among themselves.
     scores[~good[np.argmin(distances, axis=1)]] += np.ptp(scores) + 1.0
     scores[distances.min(axis=1) < SEARCH.known] = np.inf
-    order = np.argsort(scores, kind="stable")
-    chosen: list[int] = []
-    for i in order:
-        if all(float(np.abs(places[i] - places[j]).max()) > SEARCH.known for j in chosen):
-            chosen.append(int(i))
-    chosen += [int(i) for i in order if int(i) not in chosen]
-    found = places[chosen[:n]]
+    found = first_apart(places, scores, SEARCH.known)[:n]
     # Rounds larger than the descents are filled up with places anywhere.
     return np.concatenate([found, rng.random((n - len(found), p))]), gains
 

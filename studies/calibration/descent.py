@@ -112,8 +112,8 @@ def _step(
     gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
     hessian = 2.0 * (jacobian.T @ jacobian) / residuals.size
     if prior is not None:
-        _, slope, curvature = prior.expand(u)
-        gradient, hessian = gradient + slope, hessian + curvature
+        known = prior.expand(u)
+        gradient, hessian = gradient + known.gradient, hessian + known.hessian
     # What the slope pushes against a face stays there (projected Newton method, see box_newton.py).
     free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
     trial = u.copy()

@@ -31,15 +31,8 @@ class Ending:
 class Confirmation:
     """What has been tested since the last gain."""
 
-    def __init__(self, least_restarts: int) -> None:
-        """Begin with nothing tested.
-
-        Args:
-            least_restarts: Restarts that are owed at least; none are owed where that is 0.
-        """
-        # `and`: with zero, a search never leaves the first valley. Per call, restarts gained two to three
-        # times as often as tests (docs/notes/adaptive-search.md, Convergence, later in version 0.3).
-        self.restarts_owed = least_restarts and least_restarts + SEARCH.restarts_more
+    def __init__(self) -> None:
+        """Begin with nothing tested."""
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -85,7 +78,7 @@ class Confirmation:
     @property
     def has_looked(self) -> bool:
         """Whether the restarts that are owed were made."""
-        return self.n_restarts >= self.restarts_owed
+        return self.n_restarts >= SEARCH.restarts_owed
 
     @property
     def in_words(self) -> str:
@@ -127,8 +120,9 @@ class Confirmation:
                 f"a gain of up to {self.promised:.2g} of the error is not excluded in the box; "
                 "another seed begins anew"
             )
-        tests = f"{min(self.n_tested, self.restarts_owed + 1)} of {self.restarts_owed + 1} rounds of tests"
-        restarts = f"{min(self.n_restarts, self.restarts_owed)} of {self.restarts_owed} restarts"
+        owed = SEARCH.restarts_owed
+        tests = f"{min(self.n_tested, owed + 1)} of {owed + 1} rounds of tests"
+        restarts = f"{min(self.n_restarts, owed)} of {owed} restarts"
         return (
             f"around the best point a gain of less than {ftol:g} of the error is expected, which {tests} and "
             f"{restarts} have confirmed; the next round would go on with these"

@@ -1,14 +1,13 @@
 """What a surrogate expects of the objective, and when it has erred."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from simulation.arrays import FloatArray
+from studies.calibration.box_newton import Expansion
 from studies.calibration.failures import Penalty
 from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.residual_process import Expansion, ResidualProcess
+from studies.calibration.residual_process import ResidualProcess
 from studies.calibration.search_constants import SEARCH
 
 Surrogate = ResidualProcess | ProcessGroups
@@ -19,15 +18,7 @@ def expected_objective(
 ) -> Expansion:
     """Expand the objective around a point: the error is predicted, a prior's penalty is known."""
     found = process.expand(u, caution)
-    if prior is None:
-        return found
-    penalty, gradient, hessian = prior.expand(u)
-    return replace(
-        found,
-        value=found.value + penalty,
-        gradient=found.gradient + gradient,
-        hessian=found.hessian + hessian,
-    )
+    return found if prior is None else found + prior.expand(u)
 
 
 def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, best: float) -> bool:

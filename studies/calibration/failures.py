@@ -12,6 +12,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from studies.calibration.box_newton import Expansion
 from studies.calibration.prior import Prior
 from studies.calibration.residual_kernel import Belief, most_probable
 from studies.calibration.residual_process import Components, Features, ResidualProcess
@@ -24,8 +25,8 @@ class Penalty(Protocol):
     def penalty(self, u: FloatArray) -> FloatArray:
         """Return it at points (n, p). Shape (n,). [unit squared]."""
 
-    def expand(self, u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return it at a point (p,), its gradient (p,), and a curvature (p, p). [unit squared]."""
+    def expand(self, u: FloatArray) -> Expansion:
+        """Expand it around a point (p,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +83,13 @@ class Failures:
 
     def penalty(self, u: FloatArray) -> FloatArray:
         """Return the penalty at points (n, p). Shape (n,). [unit squared]."""
-        return np.array([self.expand(point)[0] for point in u])
+        return np.array([self.expand(point).value for point in u])
 
-    def expand(self, u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the penalty at a point (p,), its gradient (p,), and a curvature (p, p). [unit squared]."""
+    def expand(self, u: FloatArray) -> Expansion:
+        """Expand the penalty around a point (p,)."""
         share, slope = self.expected(u)
         weight = self.scale * SEARCH.failed_weight
         # A square begins with slope zero, so that Newton steps see no kink at the edge.
-        value, gradient = weight * share**2, 2.0 * weight * share * slope
         curvature = 2.0 * weight * np.outer(slope, slope)
-        if self.prior is None:
-            return value, gradient, curvature
-        known = self.prior.expand(u)
-        return value + known[0], gradient + known[1], curvature + known[2]
+        found = Expansion(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
+        return found if self.prior is None else found + self.prior.expand(u)

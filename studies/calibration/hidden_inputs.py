@@ -4,12 +4,14 @@ They are known at the outputs alone. What they do in between is smooth but where
 anywhere between two outputs; solved equations show where (learned_ode.py).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.units import in_si
 from studies.calibration.states import StateSignals
 
@@ -105,40 +107,32 @@ class Course:
     Attributes:
         seen: Their values at the outputs. Shape (t, h). [FMU's units]
         every: Communication steps from one output to the next.
-        is_held: Which jump between all outputs, None for none. Shape (h,).
-        place: Communication steps after an output before each one jumps, None for all of them. Shape (h,).
+        choices: Which of them jump between all outputs, and communication steps after an output before each
+            one jumps; as far as they do so otherwise than at jumps, and at the next output.
     """
 
     seen: FloatArray
     every: int
-    is_held: BoolArray | None = None
-    place: IntArray | None = None
+    choices: Mapping[int, tuple[bool, int]] = field(default_factory=dict)
 
     @property
     def driven(self) -> FloatArray:
         """Their means over the communication steps. Shape (m, h). [FMU's units]."""
-        n = self.seen.shape[1]
-        held = np.zeros(n, dtype=np.bool_) if self.is_held is None else self.is_held
-        place = np.full(n, self.every) if self.place is None else self.place
-        columns = [
-            _means(values, self.every, is_held=bool(held[one]), place=int(place[one]))
-            for one, values in enumerate(self.seen.T)
-        ]
+        columns = [_means(values, self.every, *self._choice(one)) for one, values in enumerate(self.seen.T)]
         return np.column_stack(columns) if columns else np.empty(((len(self.seen) - 1) * self.every, 0))
 
     def others(self, one: int) -> list["Course"]:
         """Return other courses of one of them."""
-        n, places = self.seen.shape[1], np.linspace(0, self.every, min(self.every, MOST_PLACES) + 1)
-        held = np.zeros(n, dtype=np.bool_) if self.is_held is None else self.is_held
-        place = np.full(n, self.every) if self.place is None else self.place
-        found = []
-        for is_held in (False, True) if _jumps(self.seen[:, one]).any() else (True,):
-            for step in places.round().astype(int):
-                if (is_held, step) != (held[one], place[one]):
-                    mine, there = held.copy(), place.copy()
-                    mine[one], there[one] = is_held, step
-                    found.append(replace(self, is_held=mine, place=there))
-        return found
+        places = np.linspace(0, self.every, min(self.every, MOST_PLACES) + 1).round().astype(int).tolist()
+        kinds = (False, True) if _jumps(self.seen[:, one]).any() else (True,)
+        return [
+            replace(self, choices={**self.choices, one: other})
+            for other in product(kinds, places)
+            if other != self._choice(one)
+        ]
+
+    def _choice(self, one: int) -> tuple[bool, int]:
+        return self.choices.get(one, (False, self.every))
 
 
 def _jumps(values: FloatArray) -> BoolArray:
@@ -148,7 +142,7 @@ def _jumps(values: FloatArray) -> BoolArray:
     return np.asarray(change > JUMP * (beside[:-2] + beside[2:]) + AT_REST * np.abs(values).max())
 
 
-def _means(values: FloatArray, every: int, *, is_held: bool, place: int) -> FloatArray:
+def _means(values: FloatArray, every: int, is_held: bool, place: int) -> FloatArray:
     """Return a signal's means over the communication steps, from values at the outputs (t,). Shape (m,)."""
     jumps = np.ones(len(values) - 1, dtype=np.bool_) if is_held else _jumps(values)
     means = np.empty((len(values) - 1, every))

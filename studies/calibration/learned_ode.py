@@ -1,10 +1,9 @@
 """State equations learnt during a calibration: they are fitted to its rows and propose the next point.
 
 Solving the equations costs no call, so the whole box is searched: descents start from the best of many random
-points, and the lowest end is simulated. The equations are believed while they fit the rows that they are
-learnt from and have not mispredicted several points in a row; else the search goes on without them, until
-they predict a point again. They are sure where all coefficients are formulas and the solved rows agree with
-the simulated ones.
+points, and the lowest end is simulated. The equations are believed while the solved rows agree with the
+simulated ones; else the search goes on without them, until they agree again. They are sure where rows agree
+so closely that more of them would add nothing.
 """
 
 import math
@@ -15,27 +14,24 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
-from studies.calibration.coefficient import Points
+from studies.calibration.box_newton import Expansion
+from studies.calibration.coefficient import LEAST_TO_LEARN, Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationExperiments, EquationModel
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
-from studies.calibration.residual_process import Expansion
 from studies.calibration.search_constants import SEARCH
-from studies.calibration.state_equations import LEAST_TO_LEARN, StateEquations, Structure
+from studies.calibration.state_equations import StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
 
-# Random points that are looked at before and after a first prediction was right, and how many of the best of
-# them, beside the best rows and the last ends, are walked downhill.
-N_LOOKS, N_LOOKS_LATER = 400, 100
-N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
-# Random points that are walked downhill where equations are known exactly: nothing else looks for valleys.
-N_RANDOM_SURE = 20
-# A point that errs by more than this part of its objective is missed; so many in a row end the belief.
-MISSED, N_MISSED = 0.5, 4
+# Random points that are looked at, and how many of the best of them, beside the best rows and the last ends,
+# are walked downhill: nothing else looks for valleys.
+N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 400, 20, 2, 2
+# So many points that fail end the belief.
+MOST_FAILED = 4
 # Squares of the differences between solved and simulated residuals, as shares of a row's error, up to which
 # exact equations match it, and up to which they are believed: beyond, the model does something else, as where
 # a state jumps. So many of the last rows are looked at; an error counts the first of their median more.
@@ -55,6 +51,8 @@ PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 # With 14 rows at first, 14 parameters took 16 calls to 1.02 times instead of 12;
 # with 8 rows, up to 31 (the same note, First form).
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
+
+DIFFERENT = "not all simulations follow the same ones"
 
 LEAST_CALLS = LEAST_TO_LEARN + 1
 """The rows that the simplest equations are learnt from, and the best point that these expect."""
@@ -95,7 +93,7 @@ class LearnedODE:
         self._equations: StateEquations | None = None
         self.predicted: float | None = None
         self._ends = self._u
-        self._n_missed = self._n_failed = 0
+        self._n_failed = 0
         self._has_failed = False
         self._mismatch = 0.0
         self.misfit = np.inf
@@ -118,15 +116,14 @@ class LearnedODE:
 
     @property
     def is_believed(self) -> bool:
-        """Whether it has equations that have not missed too often, nor led to failures."""
+        """Whether it has equations that do what the rows do, and have not led to failures."""
         is_known = self._equations is not None and self._mismatch <= BELIEVED
-        return is_known and max(self._n_missed, self._n_failed) < N_MISSED
+        return is_known and self._n_failed < MOST_FAILED
 
     @property
     def is_sure(self) -> bool:
-        """Whether the equations are exact and match what was simulated: more rows would add nothing."""
-        is_exact = self._equations is not None and self._equations.is_exact and self._mismatch <= MATCHED
-        return is_exact and not self._has_failed and self.is_believed
+        """Whether the equations match what was simulated: more rows would add nothing."""
+        return self._mismatch <= MATCHED and not self._has_failed and self.is_believed
 
     @property
     def model(self) -> EquationModel | EquationExperiments | None:
@@ -143,15 +140,14 @@ class LearnedODE:
     @property
     def hidden_inputs(self) -> tuple[str, ...]:
         """Names of the variables of the FMU that the equations take as inputs beside the declared ones."""
-        signals = self._signals
-        return signals.inputs[len(signals.inputs) - signals.n_hidden :] if self.is_learnt else ()
+        return self._signals.inputs[self._signals.n_declared :] if self.is_learnt else ()
 
     @property
     def error_at_best(self) -> float:
         """How solved equations differ from the best simulation, as a share of its squared residuals. [1]."""
         mse = np.mean(self._answered**2, axis=1)
         best = int(np.argmin(mse))
-        error = np.mean((self._residuals(self._u[[best]])[0] - self._answered[best]) ** 2)
+        error = self._errors(self._u[[best]], self._answered[[best]])[0]
         share = float(error / (mse[best] + np.finfo(float).tiny))
         return share if np.isfinite(share) else np.inf
 
@@ -219,7 +215,7 @@ class LearnedODE:
     @property
     def n_states(self) -> int:
         """States whose equations it learns, without positions of switches."""
-        return len(self._signals.states) - self._signals.n_switches
+        return self._signals.n_continuous
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
@@ -236,12 +232,6 @@ class LearnedODE:
         self._n_failed += self._has_failed
         self.n_asked += self.predicted is not None
         self.predicted = None
-        if self._equations is not None:
-            # Whatever proposed the point: equations that were given up may predict it by now.
-            with np.errstate(all="ignore"):
-                error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
-            is_known = bool(good[0]) and error <= MISSED * answer.mse[0]
-            self._n_missed = 0 if is_known else self._n_missed + 1
         rows = self._seen(answer.theta)
         whole = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows[:3]], axis=0)
         if not whole.any():
@@ -253,24 +243,26 @@ class LearnedODE:
         self._locals.note(shown)
         self._positions.note(shown)
         self._answered = np.concatenate([self._answered, answer.residuals[whole]])
-        self._equations = self._learnt()
-        if is_missed and self._equations is not None and not self._equations.is_exact:
+        learnt = self._learnt()
+        if is_missed and isinstance(learnt, str):
             # Formulas that held and hold no more: this row belongs to another regime.
-            self._equations, self._is_refuted = None, True
-            self.why_not = "not all simulations follow the same ones"
+            learnt, self._is_refuted = DIFFERENT, True
+        if isinstance(learnt, str):
+            self.why_not = learnt
+        self._equations = None if isinstance(learnt, str) else learnt
         self._mismatch = self._mismatch_of(self._u[-N_MATCHED:], self._answered[-N_MATCHED:])
 
-    def _learnt(self) -> StateEquations | None:
+    def _learnt(self) -> StateEquations | str:
+        """Learn the equations from all rows; say in words why there are none."""
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
             if len(self._u) < max(2 * self._n_examined, LEAST_TO_LEARN):
-                return None
+                return self.why_not
             self._n_examined = len(self._u)
             signals, structure = self._found_structure()
             self.misfit = structure.misfit
             if structure.lacking:
-                self.why_not = structure.why_not(signals)
-                return None
+                return structure.why_not(signals)
             self._signals, self._structure = structure.of_used(signals)
             self._course = None
         rows = self._all_rows(self._signals)
@@ -278,20 +270,14 @@ class LearnedODE:
         # Written so that NaN counts as a misfit, too.
         if not self.misfit <= self._structure.most_left:
             self._structure = None
-            self.why_not = "not all simulations follow the same ones"
-            return None
+            return DIFFERENT
         points = Points.of(self._problem.space, self._u)
+        # One more row may show what a coefficient is, or a switch does: the structure stays.
         equations = StateEquations.learn(
             self._signals, self._structure, points, rows.x, found, self._products
         )
-        if isinstance(equations, str):
-            self.why_not = equations
-            # One more row may show what a switch does.
-            if not self._signals.n_switches:
-                self._structure = None
-            return None
-        if self._signals.n_hidden and self._course is None:
-            equations = self._with_course(equations, points, rows.x)
+        if self._signals.n_hidden and self._course is None and isinstance(equations, StateEquations):
+            return self._with_course(equations, points, rows.x)
         return equations
 
     def _found_structure(self) -> tuple[StateSignals, Structure]:
@@ -319,13 +305,12 @@ class LearnedODE:
             *(np.concatenate(part) for part in zip(*(one[:3] for one in self._rows), strict=True))
         )
         known = self._positions.known()
-        switches = signals.states[len(signals.states) - signals.n_switches :]
-        return with_positions(rows, [known[name] for name in switches])
+        return with_positions(rows, [known[name] for name in signals.states[signals.n_continuous :]])
 
     def _with_course(self, equations: StateEquations, points: Points, x: FloatArray) -> StateEquations:
         """Find what hidden inputs do between the outputs; return equations that follow it."""
         signals = self._signals
-        n_declared = len(signals.inputs) - signals.n_hidden
+        n_declared = signals.n_declared
         some = spread(len(x), LEAST_TO_LEARN)
         points, x = points.part(some), x[some]
         # A jump placed 20 minutes wrong, of 30, left 8 % of the residuals' squares, and
@@ -346,13 +331,11 @@ class LearnedODE:
         return equations
 
     def _mismatch_of(self, u: FloatArray, answered: FloatArray) -> float:
-        """Return how exact equations, solved, differ from what was simulated, as a share of errors. [1]."""
-        if self._equations is None or not self._equations.is_exact:
+        """Return how equations, solved, differ from what was simulated, as a share of errors. [1]."""
+        if self._equations is None:
             return 0.0
-        with np.errstate(all="ignore"):
-            error = np.mean((self._residuals(u) - answered) ** 2, axis=1)
         mse = np.mean(answered**2, axis=1)
-        shares = error / (mse + MATCHED * np.median(mse))
+        shares = self._errors(u, answered) / (mse + MATCHED * np.median(mse))
         return float(np.max(np.where(np.isfinite(shares), shares, np.inf)))
 
     def propose(
@@ -369,7 +352,7 @@ class LearnedODE:
         prior = self._problem.prior
         looks = self._looks(p, rng)
         best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")
-        best = best[: N_RANDOM_SURE if self.is_sure else N_RANDOM]
+        best = best[:N_RANDOM]
         rows = np.argsort(objective, kind="stable")[:N_ROWS]
         starts = np.concatenate([known[rows], self._ends, looks[best]])
         ends, values = descend_together(self._residuals, prior, starts)
@@ -390,7 +373,7 @@ class LearnedODE:
 
     def _looks(self, p: int, rng: np.random.Generator) -> FloatArray:
         """Return points of which the best are walked downhill. Shape (n, p). [1]."""
-        looks = rng.random((N_LOOKS if self.is_sure or self.n_asked < p else N_LOOKS_LATER, p))
+        looks = rng.random((N_LOOKS, p))
         if not self._signals.n_switches:
             return looks
         # The error over the whole time jumps with the number of changes; over a short time there are few.
@@ -405,19 +388,25 @@ class LearnedODE:
                 return self._residuals(u, n)[:, is_seen]
 
             starts = np.concatenate([ends, rng.random((N_LOOKS, p))])
-            best = np.argsort(objectives(None, starts, residuals(starts)), kind="stable")[:N_RANDOM_SURE]
+            best = np.argsort(objectives(None, starts, residuals(starts)), kind="stable")[:N_RANDOM]
             ends, _ = descend_together(residuals, self._problem.prior, starts[best])
         return np.concatenate([ends, looks])
 
+    @np.errstate(all="ignore")
+    def _errors(self, u: FloatArray, answered: FloatArray) -> FloatArray:
+        """Return the mean squared differences of the equations' residuals and simulated ones. Shape (n,)."""
+        errors: FloatArray = np.mean((self._residuals(u) - answered) ** 2, axis=1)
+        return errors
+
+    @np.errstate(all="ignore")
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         measurement = self._problem.measurement
-        with np.errstate(all="ignore"):
-            if n_outputs is None:
-                return measurement.compared(self.outputs(u))
-            y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
-            y[:, :n_outputs] = self.outputs(u, n_outputs)
-            return measurement.compared(y)
+        if n_outputs is None:
+            return measurement.compared(self.outputs(u))
+        y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
+        y[:, :n_outputs] = self.outputs(u, n_outputs)
+        return measurement.compared(y)
 
     def outputs(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Solve the equations.

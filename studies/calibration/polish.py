@@ -11,7 +11,7 @@ from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.recorder import History, OnProgress, Recorder
+from studies.calibration.recorder import OnProgress, Recorder, SearchResult
 
 # SciPy moves a start on a bound inside by some 1e-10; a residual known that close is the residual there.
 SAME_POINT = 1e-9
@@ -19,6 +19,14 @@ SAME_POINT = 1e-9
 # The solver takes the distance of the start from the origin for its first trust radius, which a start in the
 # corner 0 would make vanish: it is shown the cube between 1 and 2.
 ORIGIN = 1.0
+
+GTOL = 1e-10
+"""Scaled gradient below which a polish stops."""
+
+# A model that is solved exactly repeats to about 1e-12: relative errors are 1e-5 from curvature and 1e-7 from
+# rounding.
+DIFFERENCE_STEP = 1e-5
+"""Step of the differences in the coordinates of the search. [1]"""
 
 STOP_REASONS = {
     0: "the limit of iterations is reached",
@@ -30,34 +38,14 @@ STOP_REASONS = {
 
 
 @dataclass(frozen=True)
-class PolishResult:
+class PolishResult(SearchResult):
     """The best point that a polish has seen.
 
     Attributes:
-        u: In the unit cube. Shape (p,). [1]
-        theta: As parameters. Shape (p,). [per parameter]
-        y: Trajectory there. Shape (t, k). [output's unit]
-        mse: Mean squared error there, infinite when no simulation succeeded. [first output's unit squared]
-        objective: The same with a prior's penalty. [first output's unit squared]
-        n_calls: Rows asked of the model.
-        n_iterations: Jacobians evaluated.
-        history: Best MSE over rows asked.
-        stop_reason: Why it ended, in words.
-        converged: True when a tolerance ended it, False for a budget, a limit or a failure.
         slopes: Slopes of the residuals at the last point that was differentiated, 0 where a parameter failed
             on both sides; None where none was, or for squared residuals. Shape (m, p). [unit per range]
     """
 
-    u: FloatArray
-    theta: FloatArray
-    y: FloatArray
-    mse: float
-    objective: float
-    n_calls: int
-    n_iterations: int
-    history: History
-    stop_reason: str
-    converged: bool
     slopes: FloatArray | None
 
 
@@ -72,34 +60,21 @@ class LeastSquaresTRF:
     Attributes:
         ftol: Stop when the relative improvement of the objective falls below this.
         xtol: Stop when the relative step falls below this.
-        gtol: Stop when the scaled gradient falls below this.
-        x_scale: "jac" scales each parameter by its column of the Jacobian, "unit" leaves the unit cube alone.
         max_calls: Most rows that may be asked of the model, or None.
-        residuals: "signed" minimizes the MSE; "squared" hands squared residuals to the solver as the paper's
-            Table 2 does, which minimizes fourth powers. The reported error is the MSE in both.
-        coordinates: "declared" uses the parameters' own scales, "linear" makes logarithmic ones linear.
-        difference_step: Step of the differences in the unit cube. A model that is solved exactly repeats to
-            about 1e-12, so 1e-5 leaves a relative error of about 1e-5 from curvature and 1e-7 from
-            rounding; a model with an adaptive integrator needs about the root of its tolerance. [1]
+        residuals: "signed" minimizes the MSE; "squared" is the form of the paper's Table 2: the solver gets
+            squared residuals, so that it minimizes fourth powers, and unscaled linear coordinates. The
+            reported error is the MSE in both.
     """
 
     ftol: float = 1e-6
     xtol: float = 1e-8
-    gtol: float = 1e-10
-    x_scale: Literal["jac", "unit"] = "jac"
     max_calls: int | None = 1000
     residuals: Literal["signed", "squared"] = "signed"
-    coordinates: Literal["declared", "linear"] = "declared"
-    difference_step: float = 1e-5
 
     def __post_init__(self) -> None:
         """Refuse settings that no search can run with."""
         if self.max_calls is not None and self.max_calls < 1:
             raise InputError(f"polishing: max_calls is {self.max_calls}; give at least 1")
-        if not 0.0 < self.difference_step < 0.5:
-            raise InputError(
-                f"polishing: difference_step is {self.difference_step}; give a value in (0, 0.5)"
-            )
 
     def minimize(
         self,
@@ -129,7 +104,8 @@ class LeastSquaresTRF:
         if known is not None:
             recorder.know(known)
         start = np.clip(np.asarray(u0, dtype=np.float64), 0.0, 1.0)
-        search = _Search(self, problem, recorder, known)
+        is_squared = self.residuals == "squared"
+        search = _Search(problem, recorder, known, is_squared=is_squared)
         converged = False
         try:
             first = search.evaluate_at(v0 := search.to_search(start))
@@ -144,29 +120,16 @@ class LeastSquaresTRF:
                     method="trf",
                     ftol=self.ftol,
                     xtol=self.xtol,
-                    gtol=self.gtol,
-                    x_scale="jac" if self.x_scale == "jac" else 1.0,
+                    gtol=GTOL,
+                    x_scale=1.0 if is_squared else "jac",
                 )
                 reason, converged = STOP_REASONS[found.status], found.status > 0
         except BudgetExceeded as end:
             reason = str(end)
         except _StepsFailError as stuck:
             reason = f"even the smallest step cannot be simulated: {stuck}"
-        best = recorder.best
-        assert best is not None, "a budget of at least one row lets the start be asked"
-        return PolishResult(
-            u=best.u[0],
-            theta=best.theta[0],
-            y=best.y[0],
-            mse=float(best.mse[0]),
-            objective=float(best.objective[0]),
-            n_calls=recorder.n_calls,
-            n_iterations=search.n_jacobians,
-            history=recorder.history,
-            stop_reason=reason,
-            converged=converged,
-            slopes=None if self.residuals == "squared" else search.slopes,
-        )
+        slopes = None if is_squared else search.slopes
+        return recorder.result(PolishResult, reason, converged=converged, slopes=slopes)
 
 
 class _StepsFailError(Exception):
@@ -178,21 +141,21 @@ class _Search:
 
     def __init__(
         self,
-        settings: LeastSquaresTRF,
         problem: CalibrationProblem,
         recorder: Recorder,
         known: Evaluation | None,
+        *,
+        is_squared: bool,
     ) -> None:
-        self._settings = settings
+        self._is_squared = is_squared
         self._recorder = recorder
         self._space = problem.space
         self._prior = problem.prior
-        self._search_space = _linear(problem.space) if settings.coordinates == "linear" else problem.space
+        self._search_space = _linear(problem.space) if is_squared else problem.space
         self._last: tuple[FloatArray, Evaluation] | None = None
         self._accepted: FloatArray | None = None
         if known is not None:
             self._last = (self.to_search(known.u[0]), known)
-        self.n_jacobians = 0
         self.slopes: FloatArray | None = None
 
     def to_search(self, u: FloatArray) -> FloatArray:
@@ -228,9 +191,12 @@ class _Search:
         v = np.clip(x - ORIGIN, 0.0, 1.0)
         answer = self.evaluate_at(v)
         moved = np.inf if self._accepted is None else float(np.max(np.abs(v - self._accepted)))
-        if answer.failures[0] and moved < self._settings.difference_step:
+        if answer.failures[0] and moved < DIFFERENCE_STEP:
             raise _StepsFailError(answer.failures[0])
-        return self._with_prior(self._form(answer.residuals[0]), v)
+        residuals = self._form(answer.residuals[0])
+        if self._prior is None:
+            return residuals
+        return np.concatenate([residuals, self._prior.rows(v[None], residuals.size)[0]])
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Return the differences of the objective, all p of them from one batch. Shape (t*k, p).
@@ -238,12 +204,10 @@ class _Search:
         Args:
             x: The point as the solver sees it, from `ORIGIN` on. Shape (p,). [1]
         """
-        self.n_jacobians += 1
         self._accepted = v = np.clip(x - ORIGIN, 0.0, 1.0)
         here = self._form(self.evaluate_at(v).residuals[0])
-        step = self._settings.difference_step
         # Backward at an upper face, so that no difference leaves the box.
-        steps = np.where(v + step > 1.0, -step, step)
+        steps = np.where(v + DIFFERENCE_STEP > 1.0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
         moved = self._differences(v, steps)
         failed = np.flatnonzero(~np.all(np.isfinite(moved), axis=1))
         other_side = [int(i) for i in failed if 0.0 <= v[i] - steps[i] <= 1.0]
@@ -254,10 +218,10 @@ class _Search:
         is_stuck = ~np.all(np.isfinite(slopes), axis=1)
         # A column of zeros makes the solver leave the parameter where it is.
         slopes[is_stuck] = 0.0
-        self.slopes = slopes.T / self._stretch(v)
+        self.slopes = slopes.T
         if self._prior is None:
             return slopes.T
-        exact = self._prior.row_slopes(slopes.shape[1]) * self._stretch(v)
+        exact = self._prior.row_slopes(slopes.shape[1])
         return np.concatenate([slopes.T, np.diag(np.where(is_stuck, 0.0, exact))])
 
     def _differences(self, v: FloatArray, steps: FloatArray, which: list[int] | None = None) -> FloatArray:
@@ -266,25 +230,8 @@ class _Search:
             rows = rows[which]
         return self._form(self._recorder.evaluate(self.from_search(rows)).residuals)
 
-    def _with_prior(self, residuals: FloatArray, v: FloatArray) -> FloatArray:
-        """Append the prior's residuals at a point. Shape (t*k + p,), or as residuals without a prior."""
-        if self._prior is None:
-            return residuals
-        return np.concatenate([residuals, self._prior.rows(self.from_search(v[None]), residuals.size)[0]])
-
-    def _stretch(self, v: FloatArray) -> FloatArray:
-        """Return the derivatives of the unit cube's coordinates by those of the search. Shape (p,). [1]."""
-        if self._search_space is self._space:
-            return np.ones_like(v)
-        lower, upper = self._space.lower, self._space.upper
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # Chain rule through the parameter: u is log(theta /
-            # lower) / log(upper / lower), v is linear in theta.
-            by_v = (upper - lower) / (self._search_space.from_unit(v) * np.log(upper / lower))
-        return np.where(self._space.is_log, by_v, 1.0)
-
     def _form(self, residuals: FloatArray) -> FloatArray:
-        return residuals**2 if self._settings.residuals == "squared" else residuals
+        return residuals**2 if self._is_squared else residuals
 
 
 def _linear(space: ParameterSpace) -> ParameterSpace:

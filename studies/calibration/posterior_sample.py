@@ -4,15 +4,18 @@ A draw of the prior is corrected by what the rows add to it (Matheron's rule, do
 Eq. 12); its bumps are a sum of random cosines (Rahimi and Recht, 2007).
 """
 
+import operator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Self
 
 import numpy as np
 
 from simulation.arrays import FloatArray
+from studies.calibration.box_newton import Expansion
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_kernel import CONSTANT
-from studies.calibration.residual_process import Expansion, ResidualProcess
+from studies.calibration.residual_process import ResidualProcess
 
 N_COSINES = 300
 
@@ -68,8 +71,8 @@ class _ProcessSample:
         coefficients = process.coefficients - missing
         return cls(process, frequencies, phases, cosines, slopes, constants, coefficients)
 
-    def residuals(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the components at a point (p,), shape (r,) [unit], and their Jacobian, shape (p, r)."""
+    def expand(self, u: FloatArray) -> Expansion:
+        """Expand the mean squared error of its components around a point (p,)."""
         process = self.process
         x = process.features.at(u)
         kernels, slopes = process.kernels(u)
@@ -77,7 +80,11 @@ class _ProcessSample:
         residuals = process.level + np.cos(angles) @ self.cosines + x @ self.slopes + self.constants
         jacobian = self.slopes - self.frequencies.T @ (np.sin(angles)[:, None] * self.cosines)
         pulled = process.features.pull_back(u, jacobian.T).T
-        return residuals + kernels @ self.coefficients, pulled + slopes.T @ self.coefficients
+        residuals = residuals + kernels @ self.coefficients
+        jacobian = pulled + slopes.T @ self.coefficients
+        m = process.n_residuals
+        mse = (process.outside + float(residuals @ residuals)) / m
+        return Expansion(mse, mse, 2.0 * (jacobian @ residuals) / m, 2.0 * (jacobian @ jacobian.T) / m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +100,4 @@ class PosteriorSample:
 
     def expand(self, u: FloatArray, caution: float = 0.0) -> Expansion:
         """Expand its mean squared error around a point (p,); it has no variance that caution could add."""
-        value, gradient, hessian = 0.0, np.zeros(u.size), np.zeros((u.size, u.size))
-        for part in self.parts:
-            residuals, jacobian = part.residuals(u)
-            m = part.process.n_residuals
-            value += (part.process.outside + float(residuals @ residuals)) / m
-            gradient += 2.0 * (jacobian @ residuals) / m
-            hessian += 2.0 * (jacobian @ jacobian.T) / m
-        return Expansion(value, value, gradient, hessian)
+        return reduce(operator.add, (part.expand(u) for part in self.parts))

@@ -30,6 +30,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
+from studies.calibration.box_newton import Expansion
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,24 +126,13 @@ class Prior:
 
     def row_slopes(self, n_residuals: int) -> FloatArray:
         """Return the derivative of each parameter's residual by its coordinate. Shape (p,)."""
-        return float(np.sqrt(self.weight * n_residuals)) * np.where(self.is_held, 1.0 / self.width, 0.0)
+        return float(np.sqrt(self.weight * n_residuals)) * (1.0 / self.width)
 
-    def expand(self, u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return penalty, gradient and Hessian at one point: exact, the penalty is a parabola.
-
-        Args:
-            u: The point. Shape (p,). [1]
-
-        Returns:
-            The penalty, its gradient, shape (p,), and Hessian, shape (p, p). [first output's unit squared]
-        """
-        slopes = np.where(self.is_held, 1.0 / self.width, 0.0)
-        d = self.deviations(u)
-        return (
-            self.weight * float(d @ d),
-            2.0 * self.weight * d * slopes,
-            2.0 * self.weight * np.diag(slopes**2),
-        )
+    def expand(self, u: FloatArray) -> Expansion:
+        """Expand the penalty around a point (p,): exactly, as it is a parabola."""
+        d, slopes = self.deviations(u), 1.0 / self.width
+        curvature = 2.0 * self.weight * np.diag(slopes**2)
+        return Expansion(self.weight * float(d @ d), 0.0, 2.0 * self.weight * d * slopes, curvature)
 
 
 def independent_samples(measurement: Measurement) -> float:

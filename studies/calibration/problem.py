@@ -1,6 +1,6 @@
 """The calibration problem: a model, a measurement, and the residuals between them in the unit cube."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -44,16 +44,7 @@ class Evaluation:
 
     def take(self, index: int) -> "Evaluation":
         """Return one row as an evaluation of its own."""
-        row = slice(index, index + 1)
-        return Evaluation(
-            u=self.u[row],
-            theta=self.theta[row],
-            y=self.y[row],
-            residuals=self.residuals[row],
-            mse=self.mse[row],
-            objective=self.objective[row],
-            failures=self.failures[row],
-        )
+        return Evaluation(*(getattr(self, one.name)[index : index + 1] for one in fields(self)))
 
 
 @dataclass(frozen=True)

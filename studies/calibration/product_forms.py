@@ -73,10 +73,6 @@ class Products:
                 n_paired = len(powers)
         return cls(np.array(powers), n_paired)
 
-    def at(self, theta: FloatArray) -> FloatArray:
-        """Return the products at parameters (n, p). Shape (n, m)."""
-        return values_of(self.powers, theta)
-
 
 def values_of(powers: IntArray, theta: FloatArray) -> FloatArray:
     """Return products with powers (m, p) at parameters (n, p). Shape (n, m)."""
@@ -123,7 +119,7 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
         return None
     # A part of the rows proposes products, all rows judge them.
     some = spread(len(values), MOST_ROWS)
-    table = products.at(theta[some])
+    table = values_of(products.powers, theta[some])
     # One product goes first: in a sum, a second one would only absorb its error (the same note).
     judged = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
     if judged[0].left < EXACT:

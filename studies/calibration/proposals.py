@@ -11,11 +11,10 @@ from functools import partial
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.box_newton import descend
+from studies.calibration.box_newton import Expansion, descend
 from studies.calibration.expected_objective import expected_objective
 from studies.calibration.failures import Penalty
 from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.residual_process import Expansion
 from studies.calibration.search_constants import SEARCH
 
 # Relative to the greatest variance: below, two points carry the same information.
@@ -57,15 +56,12 @@ class Surroundings:
         return errors if self.prior is None else errors + self.prior.penalty(u)
 
 
-def favourites(
-    surroundings: Surroundings, n: int, caution: float, rng: np.random.Generator
-) -> tuple[FloatArray, Expansion]:
+def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> tuple[FloatArray, Expansion]:
     """Return the favourite and what is expected of it, and favourites with other radii and cautions.
 
     Args:
         surroundings: Where to look.
         n: Points.
-        caution: The favourite's. [1]
         rng: Source of the descents' starts.
 
     Returns:
@@ -77,7 +73,7 @@ def favourites(
         # Descents from the next best rows cost 3 to 9 % more calls
         # (docs/notes/adaptive-search.md, Rounds of several points).
         starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
-        expand = partial(surroundings.expand, caution=_caution(caution, rank))
+        expand = partial(surroundings.expand, caution=_caution(rank))
         ends = [descend(expand, start, lower, upper) for start in starts]
         u, expected = min(ends, key=lambda end: end[1].value)
         known = np.array([*surroundings.known, *points])
@@ -93,10 +89,10 @@ def _radius(radius: float, rank: int) -> float:
     return radius if rank == 0 else min(radius * (1.0, 0.5, 2.0)[rank % 3], 1.0)
 
 
-def _caution(caution: float, rank: int) -> float:
+def _caution(rank: int) -> float:
     # Half decades, by turns less and more than the favourite's: a round has bold and careful points.
     decades = 0.5 * ((rank + 1) // 2) * (-1.0) ** rank
-    return float(caution * 10.0**decades)
+    return float(SEARCH.caution * 10.0**decades)
 
 
 def informative(

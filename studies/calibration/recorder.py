@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -53,6 +54,56 @@ class History:
         return History(self.n_calls + n_calls, self.best_mse)
 
 
+@dataclass(frozen=True)
+class SearchResult:
+    """The best point that a search has seen, and what it cost; make it with `Recorder.result`.
+
+    Attributes:
+        best: That point as the model answered. One row.
+        n_calls: Rows asked of the model.
+        history: Best MSE over rows asked.
+        stop_reason: Why the search ended, in words.
+        converged: False for a budget, a limit or a failure.
+    """
+
+    best: Evaluation
+    n_calls: int
+    history: History
+    stop_reason: str
+    converged: bool
+
+    @property
+    def u(self) -> FloatArray:
+        """The point in the unit cube. Shape (p,). [1]."""
+        u: FloatArray = self.best.u[0]
+        return u
+
+    @property
+    def theta(self) -> FloatArray:
+        """The same as parameters. Shape (p,). [per parameter]."""
+        theta: FloatArray = self.best.theta[0]
+        return theta
+
+    @property
+    def y(self) -> FloatArray:
+        """Trajectory there. Shape (t, k). [output's unit]."""
+        y: FloatArray = self.best.y[0]
+        return y
+
+    @property
+    def mse(self) -> float:
+        """Mean squared error there, infinite when no row succeeded. [first output's unit squared]."""
+        return float(self.best.mse[0])
+
+    @property
+    def objective(self) -> float:
+        """The same with a prior's penalty. [first output's unit squared]."""
+        return float(self.best.objective[0])
+
+
+R = TypeVar("R", bound=SearchResult)
+
+
 class Recorder:
     """Ask a problem's model through a counter; keep the best point and the history.
 
@@ -78,7 +129,7 @@ class Recorder:
             on_progress: Called after each batch.
         """
         self._counter = CountingModel(problem.model, budget=max_calls)
-        self._problem = problem.on(self._counter)
+        self.problem = problem.on(self._counter)
         self._phase = phase
         self._n_total = max_calls if n_total is None else n_total
         self._on_progress = on_progress
@@ -103,9 +154,17 @@ class Recorder:
             np.array([mse for _, mse in self._entries], dtype=np.float64),
         )
 
-    def know(self, evaluation: Evaluation) -> None:
-        """Take note of rows that were simulated before (warm start)."""
-        self._note(evaluation)
+    def result(self, kind: type[R], reason: str, *, converged: bool, **more: Any) -> R:
+        """Return what has been found and paid so far, and how the search ended.
+
+        Args:
+            kind: Class of the result.
+            reason: Why the search ended.
+            converged: Whether that is more than a limit.
+            more: What results of that kind have beside.
+        """
+        assert self.best is not None, "a budget of at least one row lets the first rows be asked"
+        return kind(self.best, self.n_calls, self.history, reason, converged, **more)
 
     def evaluate(self, u: FloatArray) -> Evaluation:
         """Ask the model, pay, and take note.
@@ -116,13 +175,14 @@ class Recorder:
         Raises:
             BudgetExceeded: The rows do not fit into what is left; nothing was simulated.
         """
-        evaluation = self._problem.evaluate(u)
-        self._note(evaluation)
+        evaluation = self.problem.evaluate(u)
+        self.know(evaluation)
         if self._on_progress is not None:
             self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
         return evaluation
 
-    def _note(self, evaluation: Evaluation) -> None:
+    def know(self, evaluation: Evaluation) -> None:
+        """Take note of rows that were answered, or simulated before (warm start)."""
         index = int(np.argmin(evaluation.objective))
         # A failed row is the best as long as there is no other: a result can then say why it failed.
         if self.best is None or evaluation.objective[index] < self.best.objective[0]:

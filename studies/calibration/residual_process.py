@@ -13,6 +13,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import ParameterSpace
+from studies.calibration.box_newton import Expansion
 from studies.calibration.residual_kernel import (
     CONSTANT,
     Belief,
@@ -24,23 +25,6 @@ from studies.calibration.residual_kernel import (
 
 # Rows with factors of the noise variance below this one count alike. [1]
 LEAST_LOOSENESS = 1e-8
-
-
-@dataclass(frozen=True, eq=False)
-class Expansion:
-    """Expected mean squared error around a point, to second order.
-
-    Attributes:
-        value: Squared mean prediction plus caution times the variance. [unit squared]
-        mse: The first part alone: the error if the mean prediction is right. [unit squared]
-        gradient: Shape (p,). [unit squared]
-        hessian: Positive semidefinite part, as in Gauss-Newton's method. Shape (p, p). [unit squared]
-    """
-
-    value: float
-    mse: float
-    gradient: FloatArray
-    hessian: FloatArray
 
 
 @dataclass(frozen=True, eq=False)

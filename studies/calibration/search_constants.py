@@ -15,16 +15,25 @@ class SearchConstants:
     Attributes:
         decimals: Of the unit cube, to which points are rounded: should the last bits of the linear algebra
             differ, the rows do not, and a store finds them again. Rounding.
+        margin: Part of each coordinate's range that the first design and random places leave out at both
+            ends. By hand.
+        caution: Part of the predictive variance that counts as error: 0 trusts the surrogate's mean. By hand.
+        n_descents: Descents on the surrogate per point, the first from the best row. By hand.
+        radius: First half width of the trust region in the unit cube. Note, First form (a wider one gained
+            nothing).
+        least_radius: Half width below which a bad step no longer shrinks it, only failures do. By hand.
         good_step, bad_step: Shares of the expected gain from and below which a step widens or shrinks the
             trust region. By hand, as is usual (Conn, Gould and Toint, 2000); wider ones: note, Two kernels.
         at_the_edge: Share of the trust region's half width from which a step lies at its edge. By hand.
         grow, shrink, shrink_after_failure: Factors of the half width. By hand.
         smallest_radius: Half width to which failures shrink it. By hand.
-        owed_after_restart: Relative gain that a search phase after a restart owes in half of `stall_rounds`.
-            Note, Truncated windows (restarts at every stagnation).
+        stall_rounds, stall_gain: A search phase owes this relative gain within so many rounds. By hand.
+        stall_rounds_away, stall_gain_away: The same away from the best row. Note, Truncated windows (restarts
+            at every stagnation).
         stagnant, stagnant_in_window: Relative gain, expected and found, below which a round stagnates, in the
             whole trajectories and in a truncated window. Note, Truncated windows.
-        stagnant_rounds: So many in a row end a search phase. By hand.
+        stagnant_rounds, stagnant_rounds_away: So many in a row end a search phase, around the best row and
+            away from it. By hand.
         came_back: Distance to the best row at which a restarted phase has come back. By hand.
         diverged: A row whose error is so many times that of most of the first design has diverged. By hand.
         falling, falling_rounds: A search whose best error falls by this factor within so many rounds needs no
@@ -34,8 +43,8 @@ class SearchConstants:
             part has no effect. By hand.
         n_probes: Rows that are simulated where equations may act that no row has shown.
             docs/notes/state-equations.md, Ranges that no row has shown.
-        restarts_more: Restarts without gain beyond `least_restarts`, each between two rounds of tests. Note,
-            Convergence, later.
+        restarts_owed: Restarts without gain before a search may converge, each between two rounds of tests:
+            per call, restarts gained two to three times as often as tests. Note, Convergence, later.
         most_restarts: Restarts without gain after which a search above the misfit threshold stops anyway.
             Note, Convergence.
         confirmed: Relative gain below which earlier tests still count. By definition.
@@ -85,6 +94,11 @@ class SearchConstants:
     """
 
     decimals: int = 5
+    margin: float = 0.15
+    caution: float = 0.1
+    n_descents: int = 3
+    radius: float = 0.3
+    least_radius: float = 0.05
     good_step: float = 0.5
     bad_step: float = 0.1
     at_the_edge: float = 0.9
@@ -92,10 +106,14 @@ class SearchConstants:
     shrink: float = 0.7
     shrink_after_failure: float = 0.5
     smallest_radius: float = 1e-4
-    owed_after_restart: float = 0.2
+    stall_rounds: int = 10
+    stall_gain: float = 0.02
+    stall_rounds_away: int = 5
+    stall_gain_away: float = 0.2
     stagnant: float = 1e-4
     stagnant_in_window: float = 0.1
     stagnant_rounds: int = 2
+    stagnant_rounds_away: int = 3
     came_back: float = 0.1
     diverged: float = 1e6
     falling: float = 0.5
@@ -104,7 +122,7 @@ class SearchConstants:
     n_across: int = 9
     flat: float = 1e-3
     n_probes: int = 4
-    restarts_more: int = 2
+    restarts_owed: int = 3
     most_restarts: int = 8
     confirmed: float = 1e-2
     promised: float = 0.02

@@ -16,13 +16,14 @@ from typing import Self
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.coefficient import Coefficient, Points
+from studies.calibration.coefficient import Coefficient, Points, formulas, values
 from studies.calibration.product_forms import Products
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_terms import (
     N_ROWS,
     N_TIMES,
     Sum,
+    Term,
     candidates,
     candidates_with_functions,
     candidates_with_products,
@@ -30,7 +31,7 @@ from studies.calibration.state_terms import (
     spread,
 )
 from studies.calibration.states import StateRows, StateSignals
-from studies.calibration.switch_rules import SwitchRules
+from studies.calibration.switch_rules import switch_rules
 from studies.calibration.term_choice import chosen_terms, fitted
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave: at least, and at most
@@ -42,10 +43,6 @@ LEARNT, MOST_LEFT = 1e-9, 1e-6
 PRODUCTS_LEARNT = 1e-14
 # Standard deviation of a coefficient, as a share of itself, up to which a row determines it.
 SURE = 1e-5
-# Rows below which nothing is looked for.
-# With one or two amounts to find, four rows leave three
-# or two numbers that must fit to five digits (same note).
-LEAST_TO_LEARN = 4
 # Rows in which changes of switches are located: a row takes some 20 ms.
 MOST_RULE_ROWS = 16
 # States at all steps that are held in memory at once.
@@ -93,33 +90,26 @@ class Structure:
 
     def why_not(self, signals: StateSignals) -> str:
         """Say for which variable no sum was found, and what was offered."""
-        n_declared = len(signals.inputs) - signals.n_hidden
         return (
             f"no sum of states, inputs, products and functions makes up {self.lacking}: the best leaves "
-            f"{self.misfit:.2g} of its squares (declared inputs: {n_declared}; other variables that follow "
-            f"time alone: {signals.n_hidden})"
+            f"{self.misfit:.2g} of its squares (declared inputs: {signals.n_declared}; other variables that "
+            f"follow time alone: {signals.n_hidden})"
         )
 
     def of_used(self, signals: StateSignals) -> tuple[StateSignals, Self]:
         """Return signals without the hidden inputs that no term has, and the structure of those."""
         n_states = len(signals.states)
-        n_declared = n_states + len(signals.inputs) - signals.n_hidden
+        n_declared = n_states + signals.n_declared
         used = self.used()
         kept = [*range(n_declared), *sorted(place for place in used if place >= n_declared)]
         place_of = {-1: -1} | {place: rank for rank, place in enumerate(kept)}
         columns = [place - n_states for place in kept[n_states:]]
-        sums = tuple(
-            replace(
-                one,
-                terms=tuple(
-                    term._replace(
-                        column=place_of[term.column], factors=tuple(place_of[place] for place in term.factors)
-                    )
-                    for term in one.terms
-                ),
-            )
-            for one in self.sums
-        )
+
+        def moved(term: Term) -> Term:
+            factors = tuple(place_of[place] for place in term.factors)
+            return term._replace(column=place_of[term.column], factors=factors)
+
+        sums = tuple(replace(one, terms=tuple(map(moved, one.terms))) for one in self.sums)
         fewer = replace(
             signals,
             inputs=tuple(signals.inputs[one] for one in columns),
@@ -183,7 +173,7 @@ def _sum(
     Returns:
         The terms, none where none make it up, and the least share of squares that any have left. [1]
     """
-    n_declared = len(signals.inputs) - signals.n_hidden
+    n_declared = signals.n_declared
     declared = replace(
         signals,
         inputs=signals.inputs[:n_declared],
@@ -236,8 +226,7 @@ class StateEquations:
         by_term: Coefficients of every sum, in the order of its terms.
         start: States at the first output that is watched.
         flow: Solves them.
-        is_exact: Whether all of that are formulas, found from enough rows.
-        limits: Thresholds of switches, and shortest times between their changes, see `SwitchRules`.
+        limits: Thresholds of switches, and shortest times between their changes, see `switch_rules`.
     """
 
     signals: StateSignals
@@ -245,7 +234,6 @@ class StateEquations:
     by_term: tuple[tuple[Coefficient, ...], ...]
     start: tuple[Coefficient, ...]
     flow: LinearFlow | SteppedFlow
-    is_exact: bool
     limits: tuple[Coefficient, ...] = ()
 
     @classmethod
@@ -271,15 +259,12 @@ class StateEquations:
         Returns:
             The equations, or in words why there are none.
         """
-        by_term = tuple(
-            tuple(Coefficient.fit(points, column, products) for column in table.T) for table in found
-        )
-        start = tuple(Coefficient.fit(points, column, products) for column in x[:, 0].T)
-        is_exact = all(one.is_exact for table in (*by_term, start) for one in table)
-        # Where rows leave a coefficient open, a formula from fewer than these may be chance.
-        is_known = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
+        by_term = [one for table in found if (one := formulas(points, table, products)) is not None]
+        start = formulas(points, x[:, 0], products)
+        if start is None or len(by_term) < len(found):
+            return "not all coefficients are formulas of the parameters"
         flow = _flow(signals, structure)
-        equations = cls(signals, structure, by_term, start, flow, is_exact and is_known)
+        equations = cls(signals, structure, tuple(by_term), start, flow)
         # Matrix exponentials are exact: no step has to be refined.
         if isinstance(flow, LinearFlow):
             return equations
@@ -296,16 +281,16 @@ class StateEquations:
 
     def _with_rules(self, points: Points, x: FloatArray, products: Products) -> Self | str:
         """Learn when switches change, from the rows' states (n, t, s); say why not in words."""
-        if not self.is_exact:
-            return "the coefficients beside the positions of switches are no formulas"
         some = spread(len(x), MOST_RULE_ROWS)
         points, derivatives = points.part(some), self.structure.sums[: len(self.signals.states)]
-        rules = SwitchRules.of(self.signals, derivatives, x[some], self._rates(points))
-        limits = tuple(Coefficient.fit(points, column, products) for column in rules.limits.T)
-        is_known = (np.isfinite(rules.limits).sum(axis=0) >= LEAST_TO_LEARN).all()
-        if rules.lacking or not is_known or not all(one.is_exact for one in limits):
-            return f"{rules.lacking or 'a switch'} changes at no threshold that was found"
-        flow = SteppedFlow(self.signals, derivatives, rules.places)
+        found = switch_rules(self.signals, derivatives, x[some], self._rates(points))
+        if isinstance(found, str):
+            return found
+        rules, by_row = found
+        limits = formulas(points, by_row, products)
+        if limits is None:
+            return "a switch changes at no threshold that was found"
+        flow = SteppedFlow(self.signals, derivatives, rules)
         return replace(self, flow=flow, limits=limits)
 
     def driven_by(self, driven: FloatArray) -> Self:
@@ -368,8 +353,9 @@ class StateEquations:
 
     def coefficients(self, points: Points) -> FloatArray:
         """Return all coefficients and first states. Shape (n, c)."""
-        by_sum = [self._at(j, points) for j in range(len(self.by_term))]
-        return np.concatenate([*by_sum, self._at_start(points).T, self._limits(points)], axis=1)
+        return np.concatenate(
+            [values(table, points) for table in (*self.by_term, self.start, self.limits)], axis=1
+        )
 
     def _outputs(self, points: Points) -> FloatArray:
         with np.errstate(all="ignore"):
@@ -377,25 +363,16 @@ class StateEquations:
             n_states = len(self.signals.states)
             inputs = self.signals.at_outputs
             answers = [
-                np.einsum("ntf,nf->nt", one.values(states, inputs), self._at(j, points))
-                for j, one in enumerate(self.structure.sums)
-                if j >= n_states
+                np.einsum("ntf,nf->nt", one.values(states, inputs), values(table, points))
+                for one, table in zip(self.structure.sums[n_states:], self.by_term[n_states:], strict=True)
             ]
         return np.stack(answers, axis=-1)[:, self.signals.n_before :]
 
-    def _at(self, j: int, points: Points) -> FloatArray:
-        """Return the coefficients of sum j. Shape (n, terms)."""
-        return np.stack([one.at(points) for one in self.by_term[j]], axis=-1)
-
     def _rates(self, points: Points) -> list[FloatArray]:
         """Return the coefficients of every derivative, shapes (n, terms), and of switches, (n, 2 r)."""
-        rates = [self._at(j, points) for j in range(len(self.signals.states))]
-        return [*rates, self._limits(points)] if self.limits else rates
-
-    def _limits(self, points: Points) -> FloatArray:
-        """Return thresholds and shortest times. Shape (n, 2 r)."""
-        return np.array([one.at(points) for one in self.limits]).reshape(-1, len(points.x)).T
+        tables = (*self.by_term[: len(self.signals.states)], self.limits)
+        return [values(table, points) for table in tables if table]
 
     def _at_start(self, points: Points) -> FloatArray:
         """Return the first states. Shape (s, n)."""
-        return np.stack([one.at(points) for one in self.start])
+        return values(self.start, points).T

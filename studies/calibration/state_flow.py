@@ -176,7 +176,7 @@ class SteppedFlow:
             # Points that run away with any step say nothing of steps.
             is_known = np.isfinite(states).all(axis=(1, 2))
             # Switches jump: at an output next to a change they say nothing of steps.
-            n = len(self.signals.states) - self.signals.n_switches
+            n = self.signals.n_continuous
             change = np.sqrt(np.mean((states - coarse)[is_known, :, :n] ** 2, axis=1))
             solved = states[is_known, :, :n]
             small = share * solved.std(axis=1) + ROUNDING * np.abs(solved).max(axis=1)

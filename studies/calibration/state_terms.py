@@ -107,8 +107,7 @@ def candidates(signals: StateSignals, own: int) -> list[Term]:
         return [*(Term(column) for column in columns), Term(-1)]
     # Heat flows between temperatures: one difference instead of two terms with opposite coefficients.
     plain = [Term(column, signals.units[column] == signals.units[own]) for column in columns if column != own]
-    first = n_states - signals.n_switches
-    switches = [column for column in columns if column >= first and signals.units[column] in DIMENSIONLESS]
+    switches = [one for one in columns if one >= signals.n_continuous and signals.units[one] in DIMENSIONLESS]
     # Hidden inputs without unit may be dozens; those that switch have two values.
     if len(switches) * len(plain) > MOST_CANDIDATES and signals.n_hidden:
         switches = [one for one in switches if len(np.unique(signals.at_outputs[:, one - n_states])) <= 2]
@@ -201,7 +200,7 @@ def _allowed(signals: StateSignals, own: int) -> list[int]:
     """Return the positions of the states and inputs that a sum may depend on."""
     allowed = signals.depends_on[own] if own >= 0 else None
     names = (*signals.states, *signals.inputs)
-    n_declared = len(names) - signals.n_hidden
+    n_declared = len(signals.states) + signals.n_declared
     return [
         column
         for column, name in enumerate(names)

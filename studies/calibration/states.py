@@ -108,6 +108,16 @@ class StateSignals:
         )
 
     @property
+    def n_declared(self) -> int:
+        """Inputs that the FMU declares, the first ones."""
+        return len(self.inputs) - self.n_hidden
+
+    @property
+    def n_continuous(self) -> int:
+        """States that are no positions of switches, the first ones."""
+        return len(self.states) - self.n_switches
+
+    @property
     def at_outputs(self) -> FloatArray:
         """Inputs that the watched outputs see: given ones, or their steps'. Shape (t, q)."""
         if self.seen is not None:

@@ -7,8 +7,7 @@ switch may have to wait since its last change, too; then it changes beyond its t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -62,58 +61,39 @@ class _Rule(NamedTuple):
     waits: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class SwitchRules:
-    """When the switches of some rows change; make it with `of`.
+def switch_rules(
+    signals: StateSignals, derivatives: tuple[Sum, ...], x: FloatArray, rates: Sequence[FloatArray]
+) -> tuple[IntArray, FloatArray] | str:
+    """Find when the switches of some rows change.
 
-    Attributes:
-        places: See `flow_steps.steps`. Shape (r, 5).
-        limits: Thresholds and then shortest times between changes, 0 for none, NaN where a row leaves them
-            open. Shape (n, 2 r).
-        lacking: The switch for which none was found, "" for none.
+    Args:
+        signals: What is known of the states, the switches the last of them.
+        derivatives: Their terms.
+        x: The rows' states. Shape (n, t, s).
+        rates: Coefficients of every derivative's terms. Shapes (n, terms).
+
+    Returns:
+        The rules, see `flow_steps.steps`, shape (r, 5); and thresholds and then shortest times between
+        changes, 0 for none, NaN where a row leaves them open, shape (n, 2 r). In words, why there are none.
     """
-
-    places: IntArray
-    limits: FloatArray
-    lacking: str = ""
-
-    @classmethod
-    def of(
-        cls,
-        signals: StateSignals,
-        derivatives: tuple[Sum, ...],
-        x: FloatArray,
-        rates: Sequence[FloatArray],
-    ) -> Self:
-        """Find the rules.
-
-        Args:
-            signals: What is known of the states, the switches the last of them.
-            derivatives: Their terms.
-            x: The rows' states. Shape (n, t, s).
-            rates: Coefficients of every derivative's terms. Shapes (n, terms).
-        """
-        n_states, coefficients = len(signals.states), np.concatenate(rates, axis=1)
-        solve = SteppedFlow(signals, derivatives, n_parts=MOST_PARTS).solver()
-        places, found = list[list[int]](), list[_Rule]()
-        for switch in range(n_states - signals.n_switches, n_states):
-            by_row = [
-                _changes(signals, solve, row, known, switch)
-                for row, known in zip(x, coefficients, strict=True)
-            ]
-            for position in (0, 1):
-                changes = [[one for one in row if one.before[switch] == position] for row in by_row]
-                if not any(changes):
-                    continue
-                rule = _rule(signals, x, changes)
-                if rule is None:
-                    return cls(
-                        np.empty((0, 5), dtype=np.int64), np.empty((len(x), 0)), signals.states[switch]
-                    )
-                places.append([switch, position, rule.value, rule.less, rule.sign])
-                found.append(rule)
-        limits = [*(rule.thresholds for rule in found), *(rule.waits for rule in found)]
-        return cls(np.array(places, dtype=np.int64).reshape(-1, 5), np.array(limits).reshape(-1, len(x)).T)
+    n_states, coefficients = len(signals.states), np.concatenate(rates, axis=1)
+    solve = SteppedFlow(signals, derivatives, n_parts=MOST_PARTS).solver()
+    places, found = list[list[int]](), list[_Rule]()
+    for switch in range(signals.n_continuous, n_states):
+        by_row = [
+            _changes(signals, solve, row, known, switch) for row, known in zip(x, coefficients, strict=True)
+        ]
+        for position in (0, 1):
+            changes = [[one for one in row if one.before[switch] == position] for row in by_row]
+            if not any(changes):
+                continue
+            rule = _rule(signals, x, changes)
+            if rule is None:
+                return f"{signals.states[switch]} changes at no threshold that was found"
+            places.append([switch, position, rule.value, rule.less, rule.sign])
+            found.append(rule)
+    limits = [*(rule.thresholds for rule in found), *(rule.waits for rule in found)]
+    return np.array(places, dtype=np.int64).reshape(-1, 5), np.array(limits).reshape(-1, len(x)).T
 
 
 def _changes(
@@ -124,7 +104,7 @@ def _changes(
     found, last = list[_Change](), 0.0
     scale = x.std(axis=0)
     # Switches jump where the others meet, and what is at rest shows nothing.
-    scale[len(signals.states) - signals.n_switches :] = 0.0
+    scale[signals.n_continuous :] = 0.0
     weight = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     firsts = np.flatnonzero(np.diff(x[:, switch]))
     for first in firsts[:MOST_CHANGES].tolist():
@@ -192,7 +172,7 @@ def _located(
 def _rule(signals: StateSignals, x: FloatArray, changes: Sequence[Sequence[_Change]]) -> _Rule | None:
     """Find what has one value at the changes of every row, first without waiting times."""
     n_states, nothing = len(signals.states), len(signals.states) + len(signals.inputs) + 1
-    n_own = n_states - signals.n_switches
+    n_own = signals.n_continuous
     # A state, or its difference to a state or an input.
     pairs = [(one, nothing) for one in range(n_own)] + [
         (one, other)
@@ -201,19 +181,14 @@ def _rule(signals: StateSignals, x: FloatArray, changes: Sequence[Sequence[_Chan
         if signals.units[one] == signals.units[other]
     ]
     for waits in (False, True):
-        found = list[tuple[float, _Rule]]()
-        for value, less in pairs:
-            judged = _judged(signals, x, changes, value, less, waits=waits)
-            if judged is not None:
-                found.append(judged)
-        if found:
+        judged = [_judged(x, changes, value, less, waits=waits) for value, less in pairs]
+        if found := [one for one in judged if one is not None]:
             # A difference to what is at rest is no better than the state alone.
             return min(found, key=lambda one: (one[1].less != nothing, one[0]))[1]
     return None
 
 
 def _judged(
-    signals: StateSignals,
     x: FloatArray,
     changes: Sequence[Sequence[_Change]],
     value: int,

@@ -8,7 +8,9 @@ each case on its latest measurement. Without --write the command writes nothing.
 
 --write writes the best calibration of one case to a new file; it replaces no file. The values have the units
 of the FMU. What the case holds under [fixed] is written with them. The formats are ssv (System Structure
-Parameter Values), modelica, csv and json. onnx writes the surrogate of least validation error.
+Parameter Values), modelica, csv, json, and fmu, a copy of the FMU with these start values. Some importers do
+not set start values of a description: docs/how-to/values.md. onnx writes the surrogate of least validation
+error.
 
 Examples:
   studies best                             all labels and sizes
@@ -37,7 +39,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--write",
         nargs="+",
         metavar=("FORMAT", "FILE"),
-        help="write the best calibration to a new file: ssv, modelica, csv, or json; "
+        help="write the best calibration to a new file: ssv, modelica, csv, json, or fmu; "
         "onnx: the best surrogate; default of FILE: named after the case, in the working folder",
     )
 

@@ -13,6 +13,7 @@ from simulation.foreign_text import quoted
 from simulation.whole_file import whole_file
 from studies.best_models import best_by_label
 from studies.exports.calibrated_values import CalibratedValues, calibrated_values
+from studies.exports.start_values import as_fmu
 from studies.exports.value_texts import as_csv, as_json, as_modelica, as_ssv
 from studies.paths import folder_name
 from studies.project import Project
@@ -26,6 +27,7 @@ OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
     "modelica": ("mo", as_modelica),
     "csv": ("csv", as_csv),
     "json": ("json", as_json),
+    "fmu": ("fmu", as_fmu),
 }
 """Ending of the file's name, and what it holds."""
 FORMATS: Final = (*OF_VALUES, "onnx")

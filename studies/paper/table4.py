@@ -194,8 +194,6 @@ def paper_polish(study: Study, screened: FloatArray) -> PolishResult:
         max_calls=study.profile.polish.max_calls,
         ftol=study.profile.polish.ftol,
         residuals="squared",
-        coordinates="linear",
-        x_scale="unit",
     )
     with open_physical_model(study) as model:
         problem = CalibrationProblem(model, study.case.measurement)

@@ -123,31 +123,32 @@ def calibrate(
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
+    screened = result.screened
     found = calibration_at(
         study,
         physical,
-        y=result.y_polished,
-        theta=result.theta,
-        slopes=result.slopes,
+        y=result.polish.y,
+        theta=result.polish.theta,
+        slopes=result.polish.slopes,
         method="paper",
         n_train=n_train,
         settings={
             **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
             **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
         },
-        mse=result.mse_polished,
-        stop_reason=result.polish_stop_reason,
-        converged=result.polish_converged,
+        mse=result.polish.mse,
+        stop_reason=result.polish.stop_reason,
+        converged=result.polish.converged,
         ledger=result.ledger.to_dict(),
-        history_calls=result.polish_history.n_calls,
-        history_mse=result.polish_history.best_mse,
+        history_calls=result.history.n_calls,
+        history_mse=result.history.best_mse,
         screening=Screened(
-            theta=dict(zip(space.names, result.theta_screened.tolist(), strict=True)),
+            theta=dict(zip(space.names, screened.theta[0].tolist(), strict=True)),
             mse_surrogate=result.mse_surrogate,
-            mse=result.mse_screened,
-            stop_reason=result.screen_stop_reason,
+            mse=float(screened.mse[0]),
+            stop_reason=result.screen.stop_reason,
             **(origin or {}),
         ),
-        y_screened=result.y_screened,
+        y_screened=screened.y[0],
     )
-    return with_validation(study, found, {"screened": result.theta_screened, "polished": result.theta})
+    return with_validation(study, found, {"screened": screened.theta[0], "polished": result.polish.theta})

@@ -1,7 +1,7 @@
 """How sure a calibration is: differences at its point, then a posterior sample around it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.recorder import Recorder
 from studies.uncertainty.density import Posterior
 from studies.uncertainty.emulator import sample_with
 from studies.uncertainty.findings import ENDS
@@ -127,36 +128,33 @@ def assess(
         found = judged(space.names, around, noise.raised, STEP, prior=problem.prior)
         return around, found
 
-    def report_calls(n: int) -> None:
-        report("posterior sample", n, sampling.max_calls)
-
-    n_in_vain = 0
+    recorder = Recorder(
+        problem,
+        phase="posterior sample",
+        on_progress=lambda now: report(now.phase, now.n_done, sampling.max_calls),
+    )
     # With equations 48 calls, without them 70 and 168, at about equal coverage (docs/notes/uncertainty.md).
     if emulator is not None:
         solved = problem.on(emulator)
         around, local = differences(solved)
         sample, asked = sample_with(
             solved,
-            problem,
+            recorder,
             posterior,
             sampling,
             # What was simulated, not solved.
             joined([*stored_rows, around.take(0)]),
             seed=seed,
             on_share=lambda share: report("sampling by state equations", round(100 * share), 100),
-            on_calls=report_calls,
         )
         if sample is not None:
             return Assessment(noise, around.take(0), local, sample, 0, by_equations=True)
         # Rows that disproved the equations still teach the surrogate, and count as calls.
-        stored_rows, n_in_vain = [*stored_rows, asked], asked.n
+        stored_rows = [*stored_rows, asked]
     # Of disproved equations the slopes are not used either: the model is asked for them.
     report("differences", 0, 2 * p)
     around, local = differences(problem)
     report("differences", 2 * p, 2 * p)
-    left = replace(sampling, max_calls=sampling.max_calls - n_in_vain)
-    sample = PosteriorSampler(
-        problem, posterior, left, joined([*stored_rows, around]), seed=seed, on_calls=report_calls
-    ).sample()
-    sample = replace(sample, n_calls=sample.n_calls + n_in_vain)
+    known = joined([*stored_rows, around])
+    sample = PosteriorSampler(recorder, posterior, sampling, known, seed=seed).sample()
     return Assessment(noise, around.take(0), local, sample, 2 * p, by_equations=False)

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from simulation.arrays import FloatArray
 from studies.calibration.descent import descend_together, jacobians
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.recorder import Recorder
 from studies.uncertainty.annealing import Density, OnShare, Reference, sample_density
 from studies.uncertainty.density import Posterior, roots_of
 from studies.uncertainty.rows import joined
@@ -18,11 +19,11 @@ from studies.uncertainty.sample import (
     DECIMALS,
     NEAR_BEST,
     WIDER,
-    OnCalls,
     PosteriorSample,
     Sampling,
     agrees,
     decimals_for,
+    simulated,
 )
 
 # Intervals are of particles, which the FMU does not weigh: so the two densities themselves must agree.
@@ -50,26 +51,24 @@ def particles_for(n_operations: float) -> int:
 
 def sample_with(
     emulator: CalibrationProblem,
-    problem: CalibrationProblem,
+    recorder: Recorder,
     posterior: Posterior,
     settings: Sampling,
     known: Evaluation,
     *,
     seed: int,
     on_share: OnShare | None = None,
-    on_calls: OnCalls | None = None,
 ) -> tuple[PosteriorSample | None, Evaluation]:
     """Sample a posterior by an emulator, and have the model simulate the sample.
 
     Args:
         emulator: The problem, posed to the emulator.
-        problem: The same, posed to the physical model.
+        recorder: Asks the physical model and counts.
         posterior: The density.
         settings: How to sample; the budget is of the physical model.
         known: Rows that are known already.
         seed: Seed of all draws.
         on_share: Called with how far the emulator's density is sampled.
-        on_calls: Called with how many rows were asked of the physical model so far.
 
     Returns:
         The sample, None where the real model disagrees, and the rows that it was asked.
@@ -91,24 +90,19 @@ def sample_with(
         )
     # Particles come in no order, so the first ones are a sample like all.
     u = np.round(particles[: min(settings.n_sample, settings.max_calls)], decimals)
-    # At the rounded points: a ratio compares both densities at one and the same place.
-    expected = density(u)
-    parts, ratios = list[Evaluation](), np.empty(0)
-    while len(ratios) < len(u):
-        now = slice(len(ratios), len(ratios) + settings.n_batch)
-        parts.append(problem.evaluate(u[now]))
-        ratios = np.append(ratios, posterior.at(u[now], parts[-1].mse) - expected[now])
-        if on_calls is not None:
-            on_calls(len(ratios))
+
+    def differs(ratios: FloatArray) -> bool:
         # With less than a batch left no other way could begin, so a poor sample is better than none.
-        is_left = settings.max_calls - len(ratios) >= settings.n_batch
-        if is_left and not (_differ(ratios) <= SAME_DENSITY and agrees(ratios, settings.n_batch)):
-            return None, joined(parts)
-    drawn = joined(parts)
+        is_left = settings.max_calls - recorder.n_calls >= settings.n_batch
+        return is_left and not (_differ(ratios) <= SAME_DENSITY and agrees(ratios, settings.n_batch))
+
+    drawn, ratios = simulated(recorder.evaluate, posterior, density, u, settings.n_batch, differs)
+    if differs(ratios):
+        return None, drawn
     every = joined([known, drawn])
     best = int(np.argmax(posterior.at(every.u, every.mse)))
     mse = float(every.mse[best])
-    return PosteriorSample(drawn, ratios, particles, len(ratios), every.u[best], mse), drawn
+    return PosteriorSample(drawn, ratios, particles, recorder.n_calls, every.u[best], mse), drawn
 
 
 def _valleys(

@@ -22,7 +22,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray
-from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.problem import Evaluation
+from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.annealing import Density, Reference, sample_density
 from studies.uncertainty.density import Posterior, Predicted
@@ -115,9 +116,6 @@ class PosteriorSample:
         return effective_size(self.weights) if np.isfinite(self.log_ratios).any() else 0.0
 
 
-OnCalls = Callable[[int], None]
-
-
 class Expected(Protocol):
     """Logarithms of the density that is expected of points."""
 
@@ -130,34 +128,30 @@ class PosteriorSampler:
 
     def __init__(
         self,
-        problem: CalibrationProblem,
+        recorder: Recorder,
         posterior: Posterior,
         settings: Sampling,
         known: Evaluation,
         *,
         seed: int,
-        on_calls: OnCalls | None = None,
     ) -> None:
         """Begin with what is known.
 
         Args:
-            problem: The problem, posed to the physical model.
+            recorder: Asks the physical model and counts.
             posterior: The density.
             settings: How to sample.
             known: Rows that are known already.
             seed: Seed of all draws.
-            on_calls: Called with how many rows were asked so far.
         """
-        self._problem, self._posterior, self._settings = problem, posterior, settings
-        self._features = Features.of(problem.space)
+        self._recorder, self._posterior, self._settings = recorder, posterior, settings
+        self._features = Features.of(recorder.problem.space)
         self._rng = np.random.default_rng(seed)
-        self._on_calls = on_calls
         self._u, self._mse, self._residuals = known.u, known.mse, known.residuals
         self._hyper: FloatArray | None = None
         self._decimals = DECIMALS
         self._is_bounded = False
         self._n_known = known.n
-        self.n_calls = 0
 
     def sample(self) -> PosteriorSample:
         """Sample the posterior."""
@@ -178,7 +172,8 @@ class PosteriorSampler:
             last = self._particles(*self._learn(n_last), n_last)
         density = self._posterior.at(self._u, self._mse)
         best = int(np.argmax(density))
-        return PosteriorSample(drawn, ratios, last, self.n_calls, self._u[best], float(self._mse[best]))
+        n_calls = self._recorder.n_calls
+        return PosteriorSample(drawn, ratios, last, n_calls, self._u[best], float(self._mse[best]))
 
     def _learn(self, n_particles: int) -> tuple[Expected, Reference]:
         """Fit the process to what is known.
@@ -221,7 +216,7 @@ class PosteriorSampler:
     def _finds_more(self, expected: Expected, around: Reference) -> bool:
         """Whether rows that are less sure turn out well where it was not expected; once not, never again."""
         # This batch, and two for the sample that follows.
-        if self._is_bounded or self._settings.max_calls - self.n_calls < 3 * self._settings.n_batch:
+        if self._is_bounded or self._n_left < 3 * self._settings.n_batch:
             return False
         n_each = self._settings.n_batch // len(FARTHER)
         n = self._settings.n_drawn_from
@@ -235,9 +230,14 @@ class PosteriorSampler:
         return not self._is_bounded
 
     @property
+    def _n_left(self) -> int:
+        """Rows that may still be asked."""
+        return self._settings.max_calls - self._recorder.n_calls
+
+    @property
     def _has_another_round(self) -> bool:
         """Whether the calls that are left allow a sample of two batches."""
-        return self._settings.max_calls - self.n_calls >= 2 * self._settings.n_batch
+        return self._n_left >= 2 * self._settings.n_batch
 
     def _simulate(self, expected: Density, particles: FloatArray) -> tuple[Evaluation, FloatArray, bool]:
         """Simulate particles as long as the model agrees.
@@ -249,33 +249,53 @@ class PosteriorSampler:
         Returns:
             The members, the logarithms of the model's density over the predicted one, and whether they agree.
         """
-        settings = self._settings
-        parts: list[Evaluation] = []
-        ratios = np.empty(0)
-        while True:
-            n = min(settings.n_batch, settings.max_calls - self.n_calls, settings.n_sample - len(ratios))
-            if n <= 0:
-                break
-            # Particles come in no order, so the next ones continue the sample.
-            u = np.round(particles[len(ratios) : len(ratios) + n], self._decimals)
-            answer = self._ask(u)
-            parts.append(answer)
-            new = self._posterior.at(u, answer.mse) - expected(u)
-            ratios = np.append(ratios, new)
+        n_batch = self._settings.n_batch
+        u = np.round(particles[: min(self._settings.n_sample, self._n_left)], self._decimals)
+
+        def is_poor(ratios: FloatArray) -> bool:
             # With no calls for another round a poor sample is completed: its weights show what it is worth.
-            if self._has_another_round and not agrees(ratios, settings.n_batch):
-                break
-        return joined(parts), ratios, agrees(ratios, settings.n_batch)
+            return self._has_another_round and not agrees(ratios, n_batch)
+
+        drawn, ratios = simulated(self._ask, self._posterior, expected, u, n_batch, is_poor)
+        return drawn, ratios, agrees(ratios, n_batch)
 
     def _ask(self, u: FloatArray) -> Evaluation:
-        answer = self._problem.evaluate(u)
-        self.n_calls += len(u)
+        answer = self._recorder.evaluate(u)
         self._u = np.concatenate([self._u, answer.u])
         self._mse = np.concatenate([self._mse, answer.mse])
         self._residuals = np.concatenate([self._residuals, answer.residuals])
-        if self._on_calls is not None:
-            self._on_calls(self.n_calls)
         return answer
+
+
+def simulated(
+    ask: Callable[[FloatArray], Evaluation],
+    posterior: Posterior,
+    expected: Density,
+    u: FloatArray,
+    n_batch: int,
+    is_given_up: Callable[[FloatArray], bool],
+) -> tuple[Evaluation, FloatArray]:
+    """Simulate the members of a sample, in no order, batch by batch.
+
+    Args:
+        ask: Asks the physical model.
+        posterior: The density.
+        expected: Logarithm of the density that they were drawn from.
+        u: The members. Shape (n, p). [1]
+        n_batch: Rows of a batch.
+        is_given_up: Whether the sample is given up, by the ratios so far.
+
+    Returns:
+        The simulated ones, and the logarithms of the model's density over the expected one. [1]
+    """
+    parts, ratios = list[Evaluation](), np.empty(0)
+    while len(ratios) < len(u):
+        batch = u[len(ratios) : len(ratios) + n_batch]
+        parts.append(ask(batch))
+        ratios = np.append(ratios, posterior.at(batch, parts[-1].mse) - expected(batch))
+        if is_given_up(ratios):
+            break
+    return joined(parts), ratios
 
 
 def agrees(ratios: FloatArray, n_batch: int) -> bool:

@@ -26,10 +26,7 @@ from studies.calibration.problem import CalibrationProblem  # noqa: E402
 FACTORS = (1.17, 1.02)
 METHODS = {
     "signed, declared coordinates": LeastSquaresTRF(ftol=1e-9),
-    "signed, linear coordinates": LeastSquaresTRF(ftol=1e-9, coordinates="linear"),
-    "squared, linear coordinates (the paper's)": LeastSquaresTRF(
-        ftol=1e-9, coordinates="linear", residuals="squared"
-    ),
+    "squared, linear coordinates (the paper's)": LeastSquaresTRF(ftol=1e-9, residuals="squared"),
 }
 
 

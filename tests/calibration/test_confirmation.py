@@ -77,7 +77,7 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
 
 
 def test_a_gain_forgets_what_was_tested_before() -> None:
-    confirmation = Confirmation(1)
+    confirmation = Confirmation()
     confirmation.note_best(1.0)
     confirmation.note_test(NOTHING)
     confirmation.n_restarts = 1
@@ -88,9 +88,9 @@ def test_a_gain_forgets_what_was_tested_before() -> None:
     assert confirmation.n_tested == confirmation.n_restarts == 0
 
 
-def looked(least_restarts: int, gains: FloatArray) -> Confirmation:
+def looked(gains: FloatArray) -> Confirmation:
     """Make all tests and restarts that are owed, none of which gains anything."""
-    confirmation = Confirmation(least_restarts)
+    confirmation = Confirmation()
     while True:
         assert not confirmation.is_tested
         confirmation.note_test(gains)
@@ -100,16 +100,14 @@ def looked(least_restarts: int, gains: FloatArray) -> Confirmation:
         confirmation.n_restarts += 1
 
 
-@pytest.mark.parametrize("least_restarts", [0, 1])
-def test_where_nothing_is_promised_tests_and_restarts_in_vain_converge(least_restarts: int) -> None:
-    confirmation = looked(least_restarts, NOTHING)
-    assert confirmation.n_restarts == confirmation.restarts_owed
+def test_where_nothing_is_promised_tests_and_restarts_in_vain_converge() -> None:
+    confirmation = looked(NOTHING)
+    assert confirmation.n_restarts == SEARCH.restarts_owed
     assert confirmation.ending(switches=False).converged
 
 
-@pytest.mark.parametrize("least_restarts", [0, 1])
-def test_what_is_promised_and_not_found_is_said(least_restarts: int) -> None:
-    confirmation = looked(least_restarts, MUCH)
+def test_what_is_promised_and_not_found_is_said() -> None:
+    confirmation = looked(MUCH)
     assert not confirmation.ending(switches=False).converged
     assert (
         f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
@@ -121,14 +119,10 @@ def test_a_few_functions_that_promise_more_are_enough_to_stop() -> None:
     n_much = round((1.0 - SEARCH.quantile) * SEARCH.n_drawn) + 1
     for n, is_believed in ((n_much, False), (n_much - 2, True)):
         gains = np.where(np.arange(SEARCH.n_drawn) < n, MUCH, NOTHING)
-        assert looked(1, gains).ending(switches=False).converged is is_believed
-
-
-def test_without_restarts_none_is_owed() -> None:
-    assert Confirmation(0).restarts_owed == 0
+        assert looked(gains).ending(switches=False).converged is is_believed
 
 
 def test_a_model_that_switches_stops_where_smooth_functions_promise_nothing() -> None:
-    ending = looked(1, NOTHING).ending(switches=True)
+    ending = looked(NOTHING).ending(switches=True)
     assert not ending.converged
     assert "switches at times that depend on its parameters" in ending.reason

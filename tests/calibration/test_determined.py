@@ -27,14 +27,7 @@ def polished(problem: CalibrationProblem) -> tuple[FloatArray, FloatArray, Float
     return found.u, found.y, found.slopes
 
 
-def polished_in_linear_coordinates(
-    problem: CalibrationProblem,
-) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    found = LeastSquaresTRF(coordinates="linear").minimize(problem, np.array([0.7, 0.4]))
-    return found.u, found.y, found.slopes
-
-
-@pytest.mark.parametrize("search", [adaptive, polished, polished_in_linear_coordinates])
+@pytest.mark.parametrize("search", [adaptive, polished])
 @pytest.mark.parametrize("is_product", [False, True])
 def test_a_search_knows_what_differences_would_show(search, is_product: bool) -> None:
     problem = problem_on(ProductToy(), TRUE_RC, noise=0.05) if is_product else rc_problem(noise=0.05)

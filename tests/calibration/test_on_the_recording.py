@@ -54,7 +54,7 @@ def test_random_starts_reach_the_papers_result_in_some_150_calls(problem: Calibr
 
 
 def test_the_papers_squared_residuals_take_many_times_the_calls(problem: CalibrationProblem) -> None:
-    papers = LeastSquaresTRF(residuals="squared", coordinates="linear", max_calls=1000)
+    papers = LeastSquaresTRF(residuals="squared", max_calls=1000)
     runs = multistart(problem, 3, seed=0, polishing=papers)
     calls = [calls or 1001 for calls in runs.calls_to(PAPERS_USUAL_MSE)]
     assert statistics.median(calls) > 600

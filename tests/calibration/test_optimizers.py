@@ -45,7 +45,7 @@ def _screen(
 ) -> Found:
     settings = DifferentialEvolution(popsize=8, maxiter=150, tol=1e-8, max_calls=max_calls)
     r = settings.minimize(problem, seed=seed, on_progress=on_progress)
-    return Found(r.u, r.theta, r.y, r.mse, r.n_evaluations, r.history, r.stop_reason, r.converged)
+    return Found(r.u, r.theta, r.y, r.mse, r.n_calls, r.history, r.stop_reason, r.converged)
 
 
 def _polish(settings: LeastSquaresTRF) -> Optimizer:
@@ -66,8 +66,6 @@ OPTIMIZERS: dict[str, Optimizer] = {
     "differential evolution": _screen,
     "LS-TRF": _polish(LeastSquaresTRF(ftol=1e-12)),
     "LS-TRF squared": _polish(LeastSquaresTRF(ftol=1e-14, xtol=1e-12, residuals="squared")),
-    "LS-TRF linear": _polish(LeastSquaresTRF(ftol=1e-12, coordinates="linear")),
-    "LS-TRF unit scale": _polish(LeastSquaresTRF(ftol=1e-12, x_scale="unit")),
 }
 PROBLEMS: dict[str, Callable[[], CalibrationProblem]] = {
     "step response": rc_problem,

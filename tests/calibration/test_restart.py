@@ -8,8 +8,9 @@ from problems_for_tests import rc_problem
 from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
+from studies.calibration.box_newton import Expansion
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
-from studies.calibration.residual_process import Expansion, Features, ResidualProcess
+from studies.calibration.residual_process import Features, ResidualProcess
 from studies.calibration.restart import farther_along, least_excluded
 
 
@@ -25,28 +26,28 @@ def two_valleys(u: FloatArray, *, caution: float, unsure_at: float) -> Expansion
 @pytest.mark.parametrize("seed", range(3))
 def test_another_valley_is_sought_where_the_surrogate_imagines_one_and_is_unsure(seed: int) -> None:
     expand = partial(two_valleys, unsure_at=0.8)
-    found = least_excluded(expand, 1.0, (1, 1), 0.15, np.random.default_rng(seed))
+    found = least_excluded(expand, 1.0, (1, 1), np.random.default_rng(seed))
     assert found[0, 0] == pytest.approx(0.8, abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_where_every_valley_is_known_the_least_known_place_is_sought(seed: int) -> None:
     expand = partial(two_valleys, unsure_at=0.5)
-    found = least_excluded(expand, 1.0, (1, 1), 0.15, np.random.default_rng(seed))
+    found = least_excluded(expand, 1.0, (1, 1), np.random.default_rng(seed))
     assert 0.4 <= found[0, 0] <= 0.6
 
 
 def test_parallel_points_lie_apart() -> None:
     expand = partial(two_valleys, unsure_at=0.8)
-    four = least_excluded(expand, 1.0, (4, 1), 0.15, np.random.default_rng(0))
+    four = least_excluded(expand, 1.0, (4, 1), np.random.default_rng(0))
     assert (np.diff(np.sort(four[:, 0])) > 0.05).all()
-    forty = least_excluded(expand, 1.0, (40, 1), 0.15, np.random.default_rng(0))
+    forty = least_excluded(expand, 1.0, (40, 1), np.random.default_rng(0))
     assert forty.shape == (40, 1)
 
 
 def test_farther_along_are_the_minima_near_points_anywhere() -> None:
     expand = partial(two_valleys, unsure_at=0.8)
-    found = farther_along(expand, 0.0, (20, 1), 0.15, np.random.default_rng(0))
+    found = farther_along(expand, (20, 1), np.random.default_rng(0))
     assert set(np.round(found[:, 0], 2)) == {0.2, 0.8}
 
 

@@ -75,8 +75,8 @@ def test_the_papers_method_from_end_to_end(surrogate_model: SurrogateModel) -> N
         n_train=256,
         n_validation=64,
     )
-    np.testing.assert_allclose(result.theta, TRUE_RC, rtol=0.02)
+    np.testing.assert_allclose(result.polish.theta, TRUE_RC, rtol=0.02)
     on_surrogate = CalibrationProblem(surrogate_model, problem.measurement)
-    assert on_surrogate.mse(result.u_screened)[0] == pytest.approx(result.mse_surrogate, rel=1e-3)
+    assert on_surrogate.mse(result.screened.u)[0] == pytest.approx(result.mse_surrogate, rel=1e-3)
     random_points = np.random.default_rng(0).random((20, 2))
-    assert result.mse_screened < np.median(problem.mse(random_points))
+    assert result.screened.mse[0] < np.median(problem.mse(random_points))

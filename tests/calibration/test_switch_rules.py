@@ -16,7 +16,7 @@ from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import Sum, Term
 from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
 from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
-from studies.calibration.switch_rules import SwitchRules
+from studies.calibration.switch_rules import switch_rules
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, N_STEPS = 1.0, 40
@@ -89,11 +89,12 @@ def test_thresholds_are_found_from_where_it_turns_and_what_rests_is_none() -> No
         x.append(np.column_stack([heights, np.full(N_STEPS + 1, 7.0), on]))
     sums = (Sum(0, (Term(2), Term(-1))), Sum(1, (Term(-1),)), Sum(2, (Term(-1),)))
     rates = [np.tile([2.0, -1.0], (3, 1)), np.zeros((3, 1)), np.zeros((3, 1))]
-    rules = SwitchRules.of(with_switches(two, ["on"]), sums, np.array(x), rates)
-    assert not rules.lacking
+    found = switch_rules(with_switches(two, ["on"]), sums, np.array(x), rates)
+    assert not isinstance(found, str)
+    rules, limits = found
     # From 0 below and from 1 above, the state itself less nothing.
-    assert rules.places.tolist() == [[2, 0, 0, 4, -1], [2, 1, 0, 4, 1]]
-    np.testing.assert_allclose(rules.limits, [[-1.1, top, 0.0, 0.0] for top in tops], atol=1e-8)
+    assert rules.tolist() == [[2, 0, 0, 4, -1], [2, 1, 0, 4, 1]]
+    np.testing.assert_allclose(limits, [[-1.1, top, 0.0, 0.0] for top in tops], atol=1e-8)
 
 
 def test_positions_are_variables_of_two_values_once_each() -> None:

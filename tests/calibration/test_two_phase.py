@@ -1,6 +1,5 @@
 """The paper's method: what is counted, what is returned, and a screened point that fails."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +12,13 @@ from simulation.forward_model import ForwardModel
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
-from studies.calibration.two_phase import CalibrationResult, calibrate_two_phase
+from studies.calibration.two_phase import TwoPhaseResult, calibrate_two_phase
 
 SCREENING = DifferentialEvolution(maxiter=60)
 WRONG = ToyRC(heat_flow=11.5)
 
 
-def calibrate(surrogate: ForwardModel, physical: ForwardModel, **changes: object) -> CalibrationResult:
+def calibrate(surrogate: ForwardModel, physical: ForwardModel, **changes: object) -> TwoPhaseResult:
     arguments: dict[str, object] = {
         "screening": SCREENING,
         "polishing": LeastSquaresTRF(),
@@ -48,74 +47,62 @@ def test_every_row_asked_of_the_physical_model_is_in_the_ledger() -> None:
 def test_the_screened_point_is_simulated_once() -> None:
     diary = Diary(ToyRC())
     result = calibrate(WRONG, diary)
-    np.testing.assert_array_equal(diary.rows[0], result.theta_screened)
+    np.testing.assert_array_equal(diary.rows[0], result.screened.theta[0])
     assert (np.abs(diary.rows[1:] - diary.rows[0]).max(axis=1) > 0).all()
 
 
 def test_the_polish_repairs_what_the_surrogate_did_not_see() -> None:
     result = calibrate(WRONG, ToyRC())
     problem = rc_problem(noise=0.05)
-    np.testing.assert_allclose(result.theta, TRUE_RC, rtol=0.02)
-    assert result.mse_polished < 0.1 * result.mse_screened
-    assert result.screening_gap == result.mse_screened - result.mse_surrogate > 0.0
-    assert problem.mse(result.u)[0] == pytest.approx(result.mse_polished)
-    assert problem.mse(result.u_screened)[0] == pytest.approx(result.mse_screened)
-    assert problem.on(WRONG).mse(result.u_screened)[0] == pytest.approx(result.mse_surrogate)
-    np.testing.assert_allclose(result.y_polished, ToyRC().simulate(result.theta[None]).y[0])
-    np.testing.assert_allclose(result.y_screened, ToyRC().simulate(result.theta_screened[None]).y[0])
-    np.testing.assert_allclose(result.y_surrogate, WRONG.simulate(result.theta_screened[None]).y[0])
+    np.testing.assert_allclose(result.polish.theta, TRUE_RC, rtol=0.02)
+    assert result.polish.mse < 0.1 * result.screened.mse[0]
+    assert problem.mse(result.polish.u)[0] == pytest.approx(result.polish.mse)
+    assert problem.mse(result.screened.u)[0] == pytest.approx(result.screened.mse[0])
+    assert problem.on(WRONG).mse(result.screened.u)[0] == pytest.approx(result.mse_surrogate)
+    np.testing.assert_allclose(result.polish.y, ToyRC().simulate(result.polish.theta[None]).y[0])
+    np.testing.assert_allclose(result.screened.y[0], ToyRC().simulate(result.screened.theta).y[0])
 
 
 def test_calls_to_a_target_include_training_and_the_screening_check() -> None:
     result = calibrate(WRONG, ToyRC())
-    assert result.polish_history.n_calls[0] == 33
-    assert result.polish_history.best_mse[0] == result.mse_screened
-    assert result.calls_to(result.mse_screened) == 33
-    reached = result.calls_to(result.mse_polished)
+    assert result.history.n_calls[0] == 33
+    assert result.history.best_mse[0] == result.screened.mse[0]
+    assert result.history.calls_to(result.screened.mse[0]) == 33
+    reached = result.history.calls_to(result.polish.mse)
     assert reached is not None
     assert 33 < reached <= result.ledger.total_paper
-    assert result.calls_to(0.5 * result.mse_polished) is None
+    assert result.history.calls_to(0.5 * result.polish.mse) is None
 
 
 def test_a_second_calibration_is_the_same() -> None:
     first, second = calibrate(WRONG, ToyRC()), calibrate(WRONG, ToyRC())
-    np.testing.assert_array_equal(first.theta, second.theta)
+    np.testing.assert_array_equal(first.polish.theta, second.polish.theta)
     assert first.ledger == second.ledger
 
 
 def test_a_budget_of_one_call_keeps_the_screened_point() -> None:
     result = calibrate(WRONG, ToyRC(), polishing=LeastSquaresTRF(max_calls=1))
-    assert result.mse_polished == result.mse_screened
+    assert result.polish.mse == result.screened.mse[0]
     assert result.ledger.n_polish == 0
-    assert result.polish_stop_reason == "the next step takes 2 calls and the budget of 1 has only 1 left"
+    assert result.polish.stop_reason == "the next step takes 2 calls and the budget of 1 has only 1 left"
 
 
 def test_a_screened_point_that_fails_gives_way_to_another() -> None:
     broad = DifferentialEvolution(popsize=32, maxiter=3)
-    screened = calibrate(ToyRC(), ToyRC(), screening=broad).theta_screened[0]
+    screened = calibrate(ToyRC(), ToyRC(), screening=broad).screened.theta[0, 0]
     diary = Diary(FailsInBand(ToyRC(), 0.98 * screened, 1.02 * screened))
     result = calibrate(ToyRC(), diary, screening=broad)
     assert 1 < result.ledger.n_screen_checks <= 5
-    assert np.isfinite(result.mse_screened)
-    assert result.theta_screened[0] != screened
+    assert np.isfinite(result.screened.mse[0])
+    assert result.screened.theta[0, 0] != screened
     assert result.ledger.n_screen_checks + result.ledger.n_polish == len(diary.rows)
-    assert result.polish_history.n_calls[0] == 32 + result.ledger.n_screen_checks
+    assert result.history.n_calls[0] == 32 + result.ledger.n_screen_checks
 
 
 def test_a_physical_model_that_never_answers_is_a_result_not_an_error() -> None:
     result = calibrate(ToyRC(), ToyRC(fails_above_r=0.0))
-    assert result.mse_polished == np.inf
-    assert "cannot be simulated" in result.polish_stop_reason
-    assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["mse_polished"] is None
-
-
-def test_the_result_as_a_document() -> None:
-    result = calibrate(WRONG, ToyRC())
-    document = json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    assert document["theta"] == {"R": result.theta[0], "C": result.theta[1]}
-    assert document["ledger"]["total_paper"] == result.ledger.total_paper
-    assert document["screening_gap"] == result.screening_gap
-    assert document["polish_history"]["n_calls"] == result.polish_history.n_calls.tolist()
+    assert result.polish.mse == np.inf
+    assert "cannot be simulated" in result.polish.stop_reason
 
 
 def test_the_ledger_adds_up_both_ways() -> None:

@@ -185,8 +185,8 @@ def test_known_parameters_are_found_again_up_to_what_they_do(first: Done) -> Non
             n_train=64,
         )
     # The data do not determine each parameter, but the temperature to well below a sensor's noise (0.05 K).
-    assert result.mse_polished < 0.02**2
-    assert result.calls_to(0.05**2) is not None
+    assert result.polish.mse < 0.02**2
+    assert result.history.calls_to(0.05**2) is not None
 
 
 def test_the_python_of_the_pages_runs_in_this_project(first: Done) -> None:

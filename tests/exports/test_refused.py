@@ -46,7 +46,7 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "remedy"),
     [
-        (["pdf"], "'pdf': give one of ssv, modelica, csv, json, onnx"),
+        (["pdf"], "'pdf': give one of ssv, modelica, csv, json, fmu, onnx"),
         (["csv", "a", "b"], "then at most one file"),
         (["csv", "--n-train", "64"], "--n-train chooses the surrogate of --write onnx"),
         (["onnx"], "needs one case with a surrogate; type studies tune first"),

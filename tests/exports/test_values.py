@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 import sys
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from fmpy.ssp.ssd import read_ssv
+from fmpy.validation import validate_fmu
 from mlflow_store_for_tests import give_store
 
 from simulation.case import Case, load_case
@@ -134,6 +136,29 @@ def test_tables_give_the_same_error_and_name_their_origin(found: CalibratedValue
     assert origins.count("fixed") == len(found.case.fixed)
     units = {row["name"]: row["unit"] for row in rows}
     assert units[rows[0]["name"]] == found.case.fmu.variables[rows[0]["name"]].unit
+
+
+def test_an_fmu_starts_with_the_values_and_is_otherwise_the_same(found: CalibratedValues) -> None:
+    file = written("fmu")
+    before_and_after = [validate_fmu(str(fmu)) for fmu in (found.case.fmu.path, file)]
+    assert before_and_after[0] == before_and_after[1]
+    new, old = read_description(file), found.case.fmu
+    assert (new.guid, new.variables.keys()) == (old.guid, old.variables.keys())
+    changed = {one.name for one in found.values}
+    for name, variable in new.variables.items():
+        if name not in changed:
+            assert variable.start_text == old.variables[name].start_text
+    settings = dataclasses.replace(found.case.settings, path=file)
+    case = dataclasses.replace(found.case, settings=settings, fmu=new)
+    texts = {name: new.variables[name].start_text for name in changed}
+    assert error_with(case, typed(case, texts)) == found.finished.found.mse
+    with zipfile.ZipFile(old.path) as before, zipfile.ZipFile(file) as after:
+        assert before.namelist() == after.namelist()
+        same = [one for one in before.namelist() if one != "modelDescription.xml"]
+        assert all(before.read(one) == after.read(one) for one in same)
+        assert [one.external_attr for one in before.infolist()] == [
+            one.external_attr for one in after.infolist()
+        ]
 
 
 def test_a_modelica_compiler_makes_a_model_with_the_values(found: CalibratedValues) -> None:

@@ -1,4 +1,4 @@
-"""The linear form: its kernel, its Gaussian processes against textbook formulas, its stated deviations."""
+"""The linear form: its kernel, its Gaussian processes against textbook formulas."""
 
 from __future__ import annotations
 
@@ -78,51 +78,26 @@ def test_covariances_are_the_sums_that_the_module_states() -> None:
 
 
 @pytest.mark.parametrize(("degree", "at_once"), [(1, 7), (2, 256)])
-def test_mean_and_variance_are_those_of_the_textbook(
-    degree: int, at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_mean_is_that_of_the_textbook(degree: int, at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(linear_vae, "_TRAINING_ROWS_AT_ONCE", at_once)
     result = fitted(degree=degree)
     network, surrogate = network_of(result), result.surrogate
     _, y = rc_step(60, seed=1, n_outputs=2)
-    fresh = 3.0 * rc_step(9, seed=4)[0]  # far away, where the variance is large against rounding
+    fresh = 3.0 * rc_step(9, seed=4)[0]
     x = surrogate.theta_standardizer.features(torch.from_numpy(fresh), torch.float64)
     codes = torch.from_numpy(surrogate.output_standardizer.standardized(y)) @ network.basis.T
-    means, variances = [], []
+    means = []
     for hyper in network.hyper:
         noisy = network.kernel.noisy(hyper, network.x)
         across = network.kernel.matrix(hyper, x, network.x)
         solved = torch.linalg.solve(noisy, codes)
         means.append(across @ solved)
-        explained = (across * torch.linalg.solve(noisy, across.T).T).sum(dim=1)
-        left = network.kernel.matrix(hyper, x, x).diagonal() - explained
-        amplitude = (codes * solved).sum(dim=0) / len(codes)
-        variances.append(left[:, None] * amplitude)
     share = network.share[:, None]
     assert torch.allclose(network.share.sum(dim=0), torch.ones(len(network.basis), dtype=torch.float64))
     mean = (share * torch.stack(means)).sum(dim=0)
-    variance = (share * (torch.stack(variances) + (torch.stack(means) - mean).square())).sum(dim=0)
     expected = surrogate.output_standardizer.physical((mean @ network.basis).numpy())
     scale = np.abs(y).max(axis=(0, 1))
     assert (np.abs(surrogate.predict(fresh) - expected) <= INVERSE_TOL * scale).all()
-    stated = (variance @ network.basis.square() + network.rest).sqrt() * network.inflation
-    expected = stated.numpy().reshape(9, 21, 2) * surrogate.output_standardizer.deviation
-    np.testing.assert_allclose(surrogate.deviation(fresh), expected, rtol=1e-3)
-
-
-def test_bands_cover_their_share_of_fresh_rows() -> None:
-    theta, y = rc_step(400, seed=6, n_outputs=2)
-    surrogate = fitted(n=30, n_validation=160).surrogate
-    inside = np.abs(surrogate.predict(theta) - y) <= 1.6449 * surrogate.deviation(theta)
-    # The validation rows, all values of a row off together, set the factor: known to a twentieth.
-    assert (np.abs(inside.mean(axis=(0, 1)) - 0.9) < 0.05).all()
-
-
-def test_a_network_states_no_deviation() -> None:
-    surrogate = fitted(regressor="network", n_hidden=8, n_latent=2).surrogate
-    assert not surrogate.states_deviation
-    with pytest.raises(ValueError, match="states no deviation"):
-        surrogate.deviation([[1.0, 2.0]])
 
 
 def test_what_is_linear_in_a_parameter_goes_on_beyond_the_box() -> None:
@@ -166,11 +141,9 @@ def test_cuda_fits_and_predicts_like_the_cpu(n: int, tmp_path: Path) -> None:
     cpu, cuda = (fitted(n=n, max_epochs=2, device=device).surrogate for device in ("cpu", "cuda"))
     expected = cpu.predict(theta)
     assert np.abs(cuda.predict(theta) - expected).max() <= 1e-2 * np.abs(expected).max()
-    assert cuda.deviation(theta) == pytest.approx(cpu.deviation(theta), rel=0.1)
     save_surrogate(cuda, tmp_path)
     again = load_surrogate(tmp_path, device="cpu")
     assert again.predict(theta) == pytest.approx(cuda.predict(theta), rel=1e-6)
-    assert cuda.jacobian(theta[0]).shape == cpu.jacobian(theta[0]).shape
 
 
 @pytest.mark.parametrize("n", [1, 2])
@@ -186,4 +159,3 @@ def test_trajectories_that_are_all_alike_are_learnt() -> None:
     alike = np.broadcast_to(y[:1], y.shape)
     surrogate = fit(theta, alike, (theta, alike), config=PROCESSES, seed=0).surrogate
     np.testing.assert_array_equal(surrogate.predict(theta), alike)
-    assert np.isfinite(surrogate.deviation(theta)).all()

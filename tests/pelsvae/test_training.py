@@ -161,7 +161,6 @@ def test_cuda_trains_and_predicts_like_the_cpu() -> None:
     weights = [dict(r.surrogate.network.named_parameters()) for r in (cpu, cuda)]
     assert {n: w.shape for n, w in weights[0].items()} == {n: w.shape for n, w in weights[1].items()}
     assert errors(cuda.surrogate.predict(theta), y).mae < np.abs(y - y.mean(axis=0)).mean()
-    assert cuda.surrogate.jacobian(theta[0]).shape == (21, 1, 2)
 
 
 @pytest.mark.parametrize("variant", ["paper", "refined"])

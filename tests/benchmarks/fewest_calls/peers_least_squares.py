@@ -18,9 +18,7 @@ Residuals = Callable[[FloatArray], FloatArray]
 
 def trf_as_in_the_paper(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
     """LS-TRF on squared residuals in linear coordinates, from random starts until the budget is spent."""
-    settings = LeastSquaresTRF(
-        residuals="squared", coordinates="linear", x_scale="unit", ftol=1e-8, max_calls=max_calls
-    )
+    settings = LeastSquaresTRF(residuals="squared", ftol=1e-8, max_calls=max_calls)
     _from_random_starts(settings, problem, seed)
 
 

@@ -18,5 +18,4 @@ def variant(data: Data, seed: int, *, name: str) -> Fitted:
         log_columns=data.space.is_log,
         output_scales=data.output_scales,
     ).surrogate
-    deviation = surrogate.deviation if surrogate.states_deviation else None
-    return Fitted(surrogate.predict, clock.s, deviation=deviation)
+    return Fitted(surrogate.predict, clock.s)
