@@ -106,6 +106,17 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
     assert results_of(undisturbed) == results_of(project)
 
 
+def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studies: Run) -> None:
+    arguments = (*ADAPTIVE[:-1], "2", "--parallel", "4", "--target", "0.1", "--seed", "1")
+    answer = studies(*arguments)
+    assert answer.code == 0, answer.err
+    assert "it ended because the target is reached" in answer.out
+    assert "deeper valley" not in answer.out
+    stage = studies(*arguments, "--json").stage
+    assert stage["mse"] <= 0.1
+    assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -137,12 +148,17 @@ def with_wall(project: Path, *changes: tuple[str, str]) -> None:
     case.write_text(text)
 
 
-def test_a_large_error_names_the_check_of_the_step(project: Path, studies: Run) -> None:
+def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
     precise = ("uncertainty = 0.05", "uncertainty = 0.01")
     with_wall(project, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
     lacks = "the model lacks something"
-    said = " ".join(studies("calibrate", "wall", "--jobs", "1").out.split())
-    assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in said
+    unexamined = " ".join(studies("calibrate", "wall", "--jobs", "1").out.split())
+    assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in unexamined
+    assert studies("check", "wall", "--profile", "quick", "-q").code == 0
+    examined = " ".join(studies("calibrate", "wall", "--jobs", "1").out.split())
+    found = r"studies check found that half the communication step \(300 s\) changes QRoom by \d+\.?\d* W"
+    assert re.search(found, examined), examined
+    assert "lower communication_step_s in the case file" in examined
 
 
 def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
