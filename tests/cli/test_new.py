@@ -148,6 +148,15 @@ def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None
     assert "exists" in studies("new", str(room), "--to", str(file.parent)).err
 
 
+def test_an_input_can_be_a_parameter(project: Path, studies: Run, room: Path) -> None:
+    document = studies("new", str(room), "--parameter", "UA", "TAmb", "--json").document
+    assert document["parameters"] == ["UA", "TAmb"]
+    assert "TAmb" not in document["inputs"]
+    case = case_of(project, "my-room-v2")
+    assert [one["name"] for one in case["parameters"]] == ["UA", "TAmb"]
+    assert "TAmb" not in [one["name"] for one in case.get("inputs", ())]
+
+
 def test_a_command_killed_between_any_two_writes_can_be_typed_again(
     project: Path, studies: Run, room: Path
 ) -> None:
