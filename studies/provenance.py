@@ -21,7 +21,6 @@ from studies.tuning.declaration import Declaration
 
 if TYPE_CHECKING:
     from simulation.case import Case
-    from studies.stages.pipeline import Study
 
 SCHEMA = 3
 NEEDED = {"training": "declaration", "calibration": "surrogate_run", "adaptive": "settings"}
@@ -80,18 +79,23 @@ class Provenance:
         return int(noted) if noted.isdecimal() and len(noted) < len("10000") else None
 
 
-def provenance_of(study: "Study", kind: str, **more: Any) -> dict[str, Any]:
+def provenance_of(
+    case: "Case", profile: Profile, paths: ProjectPaths, *, kind: str, label: str, command: str, **more: Any
+) -> dict[str, Any]:
     """Return what makes a result of a study again, as JSON values.
 
     Args:
-        study: the study.
+        case: the study's case.
+        profile: its budget.
+        paths: the project.
         kind: what the result is.
+        label: the study's label.
+        command: the command line that makes it.
         more: what this kind needs beyond case and profile.
     """
     # `studies status` reads results without the modules that simulate.
     from simulation.case_reading import read_experiments
 
-    case = study.case
     folder, files = case.path.parent, {case.path: None}
     for declared in (one.file for one in read_experiments(case.path)):
         names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
@@ -99,15 +103,15 @@ def provenance_of(study: "Study", kind: str, **more: Any) -> dict[str, Any]:
     made = Provenance(
         schema=SCHEMA,
         kind=kind,
-        label=study.label,
-        command=study.typed,
-        case_file=study.paths.recorded(case.path),
+        label=label,
+        command=command,
+        case_file=paths.recorded(case.path),
         case_text=case.path.read_text(encoding="utf-8-sig"),
         case_digest=case.digest,
         measurement_digest=case.measurement.digest,
-        files={study.paths.recorded(file.resolve()): file_digest(file) for file in files},
+        files={paths.recorded(file.resolve()): file_digest(file) for file in files},
         window_d=case.window_d,
-        profile=study.profile,
+        profile=profile,
         **more,
     )
     return plain(made)

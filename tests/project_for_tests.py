@@ -24,29 +24,6 @@ SMOKE_RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jo
 LIMIT_S = 300.0
 AGAIN_S = 60.0  # then Ctrl-C is pressed again
 
-TINY_PROFILE = """\
-schema = 1
-name = "tiny"
-[data]
-n_train = [16]
-n_validation = 32
-n_test = 32
-[tuning]
-n_trials = 3
-surrogate = "refined"
-max_epochs = 10
-patience = 10
-[tuning.search]
-n_latent = { kind = "int", low = 4, high = 8, log = true }
-n_hidden = { kind = "int", low = 16, high = 32, log = true }
-beta = { kind = "float", low = 10.0, high = 100.0, log = true }
-[screening]
-popsize = 4
-maxiter = 10
-[polish]
-max_calls = 20
-"""
-
 
 class Answer:
     """What a command answered.
@@ -152,18 +129,13 @@ def process_environment(project: Path) -> dict[str, str]:
     }
 
 
-def finish(project: Path) -> str:
-    """Run to the end and return what was said on the way."""
-    done = subprocess.run(
-        SMOKE_RUN,
-        env=process_environment(project),
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stderr
+def finish(project: Path) -> None:
+    """Run to the end, in this process."""
+    from studies.cli import main
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(project))
+        assert main(SMOKE_RUN[3:]) == 0
 
 
 def interrupt(

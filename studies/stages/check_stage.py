@@ -2,7 +2,7 @@
 
 from studies.doctor import Diagnosis, examine
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Stage, Study
+from studies.stages.pipeline import Outcome, Stage, Study, read_outcome
 
 
 def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> Outcome[Diagnosis]:
@@ -16,3 +16,18 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
     return stage.once(
         lambda: examine(study, is_thorough=is_thorough), again=again, is_kept=lambda found: found.is_sound
     )
+
+
+def found_of_the_step(study: Study) -> str | None:
+    """Return what the last examination of this case found of its communication step.
+
+    Returns:
+        "" where it found nothing wrong, None where the case was not examined.
+    """
+    before = read_outcome(study.results, "check", Diagnosis)
+    if before is None or before.inputs["case"] != study.case.digest:
+        return None
+    for one in before.result.findings:
+        if "half the communication step" in one.what and one.level == "warn":
+            return f"{one.what} {one.found}: {one.remedy}"
+    return ""

@@ -11,7 +11,6 @@ from optuna.trial import FrozenTrial
 from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
-from studies.provenance import provenance_of
 from studies.report.tables import tuning_table
 from studies.report.wording import count, difference_unit, quantity
 from studies.row_set import RowSet
@@ -66,7 +65,7 @@ def tune_stage(study: Study, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned
             n_jobs=study.n_jobs,
             n_parallel=budget.n_parallel,
             until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
-            provenance=provenance_of(study, "training"),
+            provenance=study.provenance(kind="training"),
             on_trials=show,
         )
     tuned = [one for one in found if not one.spec.is_baseline]

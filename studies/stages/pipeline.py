@@ -74,6 +74,12 @@ class Study:
     dask: str | None = None
     max_hours: float | None = None
 
+    def provenance(self, **made: Any) -> dict[str, Any]:
+        """Return what makes a result of this study again; `made` is its kind, and what the kind needs."""
+        return provenance_of(
+            self.case, self.profile, self.paths, label=self.label, command=self.typed, **made
+        )
+
     @property
     def results(self) -> Path:
         """Folder of stage manifests and results."""
@@ -225,7 +231,7 @@ class Stage(Generic[R]):
                 inputs=self.inputs,
                 wall_s=time.perf_counter() - began,
                 finished=datetime.now(UTC).isoformat(timespec="seconds"),
-                provenance=provenance_of(study, **self.made) if self.made else {},
+                provenance=study.provenance(**self.made) if self.made else {},
                 file=self.file,
             )
             if not is_kept(result):

@@ -8,6 +8,7 @@ from studies.report.data import best_of
 from studies.report.sentences import calibration_sentences, headline, uncertainty_sentences
 from studies.report.tables import calibrations_table, intervals_table, parameters_table, validation_table
 from studies.report.wording import count, difference_unit, quantity, square_of
+from studies.stages.check_stage import found_of_the_step
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.stage_results import Calibration, Uncertainty
 
@@ -58,10 +59,12 @@ def _show_search(study: Study, found: Calibration) -> None:
 
 def _misfit(study: Study, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
-    lacks = "the model lacks something"
+    of_the_step, lacks = found_of_the_step(study), "the model lacks something"
     if any(study.case.measurement.losses):
         lacks = f"outliers weigh so much, or {lacks}"
-    if study.case.scenario.inputs_at_edges is None:
+    if of_the_step:
+        lacks = f"studies check found that {of_the_step}; else {lacks}"
+    elif of_the_step is None and study.case.scenario.inputs_at_edges is None:
         # With inputs at the edges outputs see them in time.
         lacks += ", or outputs lag behind inputs by a part of the communication step (studies check tests it)"
     target, most = found.settings["target_mse"], found.settings["max_calls"]

@@ -1,7 +1,6 @@
 """What is tested before a search has converged, and where."""
 
 import numpy as np
-import pytest
 from problems_for_tests import TRUE_RC, rc_problem
 from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
@@ -36,30 +35,11 @@ def test_the_gradient_of_a_drawn_function_is_that_of_its_value() -> None:
         np.testing.assert_allclose(gradient, numeric, rtol=GRADIENT_RTOL, atol=1e-4 * np.abs(gradient).max())
 
 
-def test_drawn_functions_pass_through_the_rows_and_vary_as_the_process_says() -> None:
-    process, u, mse = taught(12)
-    rng = np.random.default_rng(0)
-    samples = [PosteriorSample.draw(process, rng) for _ in range(300)]
-    best = int(np.argmin(mse))
-    assert samples[0].expand(u[best]).value == pytest.approx(mse[best], rel=0.05)
-    away = np.array([0.05, 0.95])
-    drawn = np.mean([sample.expand(away).value for sample in samples])
-    assert drawn == pytest.approx(process.expand(away, 1.0).value, rel=0.2)
-
-
 def places(n: int, n_rows: int = 12) -> tuple[FloatArray, FloatArray]:
     process, u, mse = taught(n_rows)
     best, rng = int(np.argmin(mse)), np.random.default_rng(1)
     rows = u, np.ones(n_rows, dtype=np.bool_)
     return least_unlikely(process, None, (u[best], float(mse[best])), rows, n, rng)
-
-
-@pytest.mark.parametrize("n", [1, 3, 40])
-def test_as_many_places_as_asked_for_inside_the_box(n: int) -> None:
-    found, gains = places(n)
-    assert found.shape == (n, 2)
-    assert ((found >= 0.0) & (found <= 1.0)).all()
-    assert gains.shape == (SEARCH.n_drawn,)
 
 
 def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
@@ -74,18 +54,6 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     best, rows = (at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
     _, gains = least_unlikely(process, None, best, rows, 1, rng)
     assert np.median(gains) < SEARCH.promised
-
-
-def test_a_gain_forgets_what_was_tested_before() -> None:
-    confirmation = Confirmation()
-    confirmation.note_best(1.0)
-    confirmation.note_test(NOTHING)
-    confirmation.n_restarts = 1
-    confirmation.note_best(1.0 - 0.5 * SEARCH.confirmed)
-    assert (confirmation.n_tested, confirmation.n_restarts) == (1, 1)
-    # Small gains add up.
-    confirmation.note_best(1.0 - 1.5 * SEARCH.confirmed)
-    assert confirmation.n_tested == confirmation.n_restarts == 0
 
 
 def looked(gains: FloatArray) -> Confirmation:
@@ -113,16 +81,3 @@ def test_what_is_promised_and_not_found_is_said() -> None:
         f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
         in confirmation.still_owed(1e-3)
     )
-
-
-def test_a_few_functions_that_promise_more_are_enough_to_stop() -> None:
-    n_much = round((1.0 - SEARCH.quantile) * SEARCH.n_drawn) + 1
-    for n, is_believed in ((n_much, False), (n_much - 2, True)):
-        gains = np.where(np.arange(SEARCH.n_drawn) < n, MUCH, NOTHING)
-        assert looked(gains).ending(switches=False).converged is is_believed
-
-
-def test_a_model_that_switches_stops_where_smooth_functions_promise_nothing() -> None:
-    ending = looked(NOTHING).ending(switches=True)
-    assert not ending.converged
-    assert "switches at times that depend on its parameters" in ending.reason

@@ -4,18 +4,11 @@ import json
 import sys
 from pathlib import Path
 
-import numpy as np
-import pytest
-
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 from fewest_calls.__main__ import main  # noqa: E402
-from fewest_calls.counted import run_once  # noqa: E402
-from fewest_calls.problems import posed, problems  # noqa: E402
 from fewest_calls.table import OURS  # noqa: E402
-
-from simulation.counting import CountingModel  # noqa: E402
 
 RUNS = ["--problems", "wall, instance 7", "--instances", "7", "--brute-force", "1", "--seeds", "1"]
 RUNS += ["--max-calls", "25"]
@@ -41,34 +34,3 @@ def test_two_methods_on_the_wall_are_measured_once_and_shown(tmp_path, capsys):
     assert "| wall, instance 7 |" in shown
     assert f"Where `{OURS}` loses:" in shown
     assert picture.stat().st_size > 10_000
-
-
-def test_calls_are_those_of_the_model():
-    (entry,) = [one for one in problems([]) if one.name == "wall"]
-    with posed(entry.make().case) as problem:
-        counter = CountingModel(problem.model)
-
-        def search(asked, seed, max_calls):
-            rng = np.random.default_rng(seed)
-            while True:
-                asked.evaluate(rng.random((3, asked.space.n_parameters)))
-
-        run = run_once(search, problem.on(counter), 0, max_calls=10, best=1e-9, factor=1.02, at_once=2)
-    assert run.ended == "budget"
-    assert run.n_calls == counter.n_calls == 9
-    assert set(run.calls) <= {3, 6, 9}
-    assert run.rounds == [2 * calls // 3 for calls in run.calls]
-    assert run.mse == sorted(run.mse, reverse=True)
-
-
-@pytest.mark.parametrize("family", ["office", "wall", "vanderpol", "thermostat", "heat pump", "two basins"])
-def test_a_seed_is_one_problem_and_another_seed_another(family):
-    def measured(seed):
-        (entry,) = [one for one in problems([seed]) if one.name == f"{family}, instance {seed}"]
-        made = entry.make()
-        return np.concatenate([one.values for one in made.case.measurement.samples]), made.u
-
-    (once, u), (again, _), (other, other_u) = measured(3), measured(3), measured(4)
-    assert np.array_equal(once, again)
-    assert not np.array_equal(u, other_u)
-    assert once.shape != other.shape or not np.allclose(once, other, rtol=0.0, atol=0.1)

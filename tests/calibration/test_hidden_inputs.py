@@ -1,15 +1,11 @@
 """Variables inside an FMU that follow time alone, and what they do between two outputs."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from simulation.arrays import FloatArray
 from studies.calibration.hidden_inputs import Course, LocalVariables
-from studies.calibration.state_equations import Structure
-from studies.calibration.state_terms import Term
-from studies.calibration.states import StateRows, StateSignals
+from studies.calibration.states import StateSignals
 
 N_OUTPUTS, EVERY, STEP_S = 145, 3, 600.0
 TIME = EVERY * STEP_S * np.arange(N_OUTPUTS)
@@ -17,9 +13,6 @@ DAY = 2.0 * np.pi / 86400.0
 OUTDOOR = 278.0 + 5.0 * np.sin(DAY * TIME) + 2.0 * np.cos(DAY * TIME / 2.3)
 SUN = np.maximum(-300.0 * np.cos(DAY * TIME), 0.0)
 USE = ((TIME / 3600.0) % 24.0 >= 8.0).astype(float)
-
-
-ROOM = {Term(1, True), Term(2), Term(1, True, (3,))}
 
 
 def signals_of(names: tuple[str, ...], units: tuple[str, ...]) -> StateSignals:
@@ -93,35 +86,3 @@ def test_weather_is_smooth_between_outputs() -> None:
     expected = 278.0 + 5.0 * np.sin(DAY * steps) + 2.0 * np.cos(DAY * steps / 2.3)
     driven = Course(OUTDOOR[:, None], EVERY).driven[:, 0]
     assert np.abs(driven - expected).max() < 2e-3
-
-
-def rows_of_a_room(noise: float) -> tuple[StateSignals, StateRows]:
-    """A room that its weather, sun and use drive, none of them declared, and derivatives with an error."""
-    rng = np.random.default_rng(5)
-    signals = signals_of(("outdoor", "sun", "use"), ("K", "W/m2", "1"))
-    x = 293.0 + np.array([np.sin(TIME / s) + np.cos(TIME / (3.0 * s)) for s in (7e3, 9e3, 2e4, 4e4)])
-    by_row = rng.uniform(0.5, 2.0, (3, 4, 1))
-    slope = 1e-5 * (by_row[0] * (OUTDOOR - x) + 0.02 * by_row[1] * SUN + by_row[2] * USE * (OUTDOOR - x))
-    slope = slope + noise * slope.std() * rng.standard_normal(slope.shape)
-    locals_ = LocalVariables(signals)
-    locals_.note(in_rows(OUTDOOR, SUN, USE))
-    return locals_.as_inputs(), StateRows(x[..., None], slope[..., None], x[..., None])
-
-
-def test_equations_have_hidden_inputs_where_no_input_is_declared() -> None:
-    signals, rows = rows_of_a_room(noise=0.0)
-    structure = Structure.of(signals, rows)
-    fewer, used = structure.of_used(signals)
-    assert fewer.inputs == ("outdoor", "sun", "use")
-    assert set(used.sums[0].terms) == ROOM
-    assert used.misfit < 1e-20
-
-
-def test_tolerances_follow_the_solvers() -> None:
-    signals, rows = rows_of_a_room(noise=2e-4)
-    tight = Structure.of(signals, rows)
-    assert tight.lacking == "der(T)"
-    assert "makes up der(T): the best leaves" in tight.why_not(signals)
-    loose = Structure.of(replace(signals, tolerance=1e-6), rows)
-    assert not loose.lacking
-    assert set(loose.sums[0].terms) == ROOM

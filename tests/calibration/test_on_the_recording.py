@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from multistart_for_tests import best_known, multistart
+from multistart_for_tests import multistart
 
 from simulation.case import load_case
 from studies.calibration.polish import LeastSquaresTRF
@@ -39,11 +39,6 @@ def problem(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CalibrationPro
     case = load_case(folder, window_d=(0.0, 10.0))
     with case.open_model() as model:
         yield CalibrationProblem(model, case.measurement)
-
-
-def test_the_best_error_by_brute_force_is_the_known_one(problem: CalibrationProblem) -> None:
-    found = best_known(problem, n_starts=3, seed=0)
-    assert found.best.mse == pytest.approx(0.0103, abs=0.0001)
 
 
 def test_random_starts_reach_the_papers_result_in_some_150_calls(problem: CalibrationProblem) -> None:

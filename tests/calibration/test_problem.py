@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems_for_tests import TRUE_RC, TwoOutputs, problem_on, rc_problem
 from toy_rc import ToyRC
-from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
@@ -29,17 +28,6 @@ def test_residuals_are_simulated_minus_measured() -> None:
     assert residuals[0, 1:].min() > 0.0
 
 
-def test_mse_is_the_mean_of_the_squared_residuals_of_each_row() -> None:
-    problem = rc_problem()
-    u = np.random.default_rng(0).random((5, 2))
-    np.testing.assert_allclose(problem.mse(u), [np.mean(row**2) for row in problem.residuals(u)], rtol=1e-12)
-
-
-def test_the_truth_has_no_error() -> None:
-    problem = rc_problem()
-    assert problem.mse(problem.space.to_unit(TRUE_RC))[0] < 1e-20
-
-
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6))
 def test_rows_are_judged_independently(seed: int, n: int) -> None:
@@ -58,13 +46,6 @@ def test_a_failed_row_is_infinitely_wrong_and_says_why() -> None:
     assert evaluation.failures[0] == ""
     assert "R = 3" in evaluation.failures[1]
     assert np.isnan(evaluation.residuals[1]).all()
-
-
-def test_one_output_keeps_its_unit_whatever_its_uncertainty() -> None:
-    problem = rc_problem()
-    doubled = replace(problem.measurement, uncertainty=np.array([2.0]))
-    u = np.array([[0.3, 0.6]])
-    assert problem.mse(u) == CalibrationProblem(problem.model, doubled).mse(u)
 
 
 def test_several_outputs_are_weighted_by_their_uncertainty() -> None:
@@ -88,13 +69,6 @@ def test_values_too_large_to_square_are_a_failure_with_words() -> None:
     assert answer.failures == ("", "the simulated values are not finite, or too large to square")
     assert np.isfinite(answer.mse[0])
     assert answer.mse[1] == np.inf
-
-
-def test_the_same_problem_is_posed_to_another_model() -> None:
-    problem = rc_problem()
-    other = problem.on(ProductToy())
-    assert other.measurement is problem.measurement
-    assert other.model is not problem.model
 
 
 def test_another_model_with_other_parameters_is_refused() -> None:

@@ -60,7 +60,7 @@ def test_a_product_form_is_found_from_two_or_three_rows_more_than_amounts_and_ho
         np.testing.assert_allclose(found.at(fresh), formula(fresh), rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", [4, 5, 7, 8])
+@pytest.mark.parametrize("n", [4, 7])
 def test_what_is_no_product_is_taken_for_none(n: int) -> None:
     for seed in range(10):
         theta, rng = rows(seed, n), np.random.default_rng(seed)
@@ -70,15 +70,6 @@ def test_what_is_no_product_is_taken_for_none(n: int) -> None:
         nearly = FORMULAS["quotient"](theta) * (1.0 + 1e-3 * rng.standard_normal(n))
         # Of four rows a sum can take one for a little something: a fifth row there removes it.
         assert n == 4 or product_sum(PRODUCTS, theta, nearly) is None
-
-
-def test_what_rows_show_badly_is_one_product_all_the_same() -> None:
-    for seed in range(10):
-        theta = rows(seed, 5)
-        rough = FORMULAS["quotient"](theta) * (1.0 + 1e-5 * np.random.default_rng(seed).standard_normal(5))
-        found = product_sum(PRODUCTS, theta, rough)
-        assert found is not None
-        assert len(found.amounts) == 1
 
 
 def test_fewer_rows_show_nothing() -> None:
@@ -96,11 +87,3 @@ def test_products_stay_few_and_only_what_keeps_its_sign_has_a_reciprocal() -> No
         large = Products.of(ParameterSpace(tuple(Parameter(f"p{i}", 1.0, 2.0) for i in range(n))))
         assert n < len(large.powers) <= MOST_PRODUCTS
         assert large.n_paired <= MOST_PAIRED
-
-
-def test_one_parameter_is_enough() -> None:
-    space = ParameterSpace((Parameter("R", 1.0, 9.0, scale="log"),))
-    theta = space.from_unit(np.linspace(0.1, 0.9, 4)[:, None])
-    found = product_sum(Products.of(space), theta, 3.0 + 2.0 / theta[:, 0])
-    assert found is not None
-    np.testing.assert_allclose(found.at(np.array([[5.0]])), 3.4)

@@ -19,7 +19,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.product_forms import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
-from studies.calibration.state_terms import Sum, Term, candidates_with_products
+from studies.calibration.state_terms import Sum, Term
 from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
@@ -149,39 +149,6 @@ def test_a_learned_ode_needs_a_model_that_watches_its_states() -> None:
         problem = CalibrationProblem(model, case.measurement)
         with pytest.raises(InputError, match="state equations need a WatchedModel"):
             LearnedODE.of(problem)
-
-
-def test_a_state_at_rest_does_not_move_too_fast() -> None:
-    signals = radiator(supply(3), radiates=False).signals
-    flow = SteppedFlow(signals, (Sum(0, (Term(0, factors=(0,)),)), Sum(1, (Term(1), Term(-1)))))
-    for rate in np.random.default_rng(0).uniform(1e-4, 1e-3, 20):
-        rates = [np.array([[-1e-4]]), np.array([[-rate, 293.17 * rate]])]
-        assert flow.fine_enough(np.array([[1.0], [293.17]]), rates) is not None
-
-
-def test_products_are_offered_as_far_as_they_are_few() -> None:
-    signals = radiator(supply(3), radiates=False).signals
-    few = candidates_with_products(signals, 0)
-    assert len(few) == len(set(few))
-    assert few[-1] == Term(-1)
-    # Temperatures times temperatures are none of physics, but for radiation.
-    assert Term(0, factors=(1,)) not in few
-    assert Term(1, factors=(1, 1, 1)) in few
-    many = StateSignals(
-        states=tuple(f"x{i}" for i in range(20)),
-        derivatives=tuple(f"der(x{i})" for i in range(20)),
-        inputs=(),
-        units=("1",) * 20,
-        depends_on=(None,) * 20,
-        driven=np.zeros((4, 0)),
-        step_s=1.0,
-        every=1,
-        n_before=0,
-        outputs=("y",),
-        conversions=np.array([[1.0, 0.0]]),
-    )
-    offered = candidates_with_products(many, 0)
-    assert {len(term.factors) for term in offered} == {0, 1}
 
 
 def test_an_oscillator_is_calibrated_with_a_handful_of_calls() -> None:

@@ -48,11 +48,6 @@ def test_a_bad_row_fails_alone(surrogate_model: SurrogateModel) -> None:
     np.testing.assert_allclose(answer.y[[0, 3]], surrogate_model.simulate(theta[[0, 3]]).y, atol=1e-4)
 
 
-def test_all_rows_may_be_bad_and_there_may_be_none(surrogate_model: SurrogateModel) -> None:
-    assert surrogate_model.simulate(np.full((3, 2), np.nan)).failed.all()
-    assert surrogate_model.simulate(np.empty((0, 2))).n == 0
-
-
 def test_a_surrogate_of_another_window_is_refused_in_one_line(surrogate_model: SurrogateModel) -> None:
     longer = SurrogateModel(
         surrogate_model.surrogate, surrogate_model.parameter_space, ("T",), np.arange(30) * 3600.0

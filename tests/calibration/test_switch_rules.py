@@ -1,6 +1,5 @@
 """Switches among the states: their positions, when they change, and the equations solved with them."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,8 @@ from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import Sum, Term
-from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
-from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
-from studies.calibration.switch_rules import switch_rules
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.switch_positions import with_switches
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, N_STEPS = 1.0, 40
@@ -65,62 +63,6 @@ def test_a_switch_waits_since_its_last_change() -> None:
     turns = np.concatenate([[0.0, 5.5], 12.1 + 5.5 * np.arange(7)])
     expected = saw_tooth(turns, np.array([0.0, 5.5, *[-1.1, 4.4] * 3, -1.1]))
     np.testing.assert_allclose(relay((5.5, 5.5))[:, 0], expected, atol=1e-8)
-
-
-def test_a_switch_that_never_comes_to_rest_has_no_solution() -> None:
-    rules = np.array([[1, 0, 0, 3, 1], [1, 1, 0, 3, 1]])
-    flow = SteppedFlow(SWITCHED, (Sum(0, (Term(1),)), Sum(1, (Term(-1),))), rules)
-    found = flow.states(
-        np.array([[0.0], [1.0]]), [np.ones((1, 1)), np.zeros((1, 1)), np.array([[1.5, 1.5, 0.0, 0.0]])]
-    )
-    assert np.isfinite(found[0, :2]).all()
-    assert not np.isfinite(found[0, 2:]).any()
-
-
-def test_thresholds_are_found_from_where_it_turns_and_what_rests_is_none() -> None:
-    two = replace(
-        PLAIN, states=("T", "rest"), derivatives=("", ""), units=("K", "K"), depends_on=(None, None)
-    )
-    tops, x = [3.3, 4.7, 2.9], list[FloatArray]()
-    for top in tops:
-        turns = np.concatenate([[0.0], top + (top + 1.1) * np.arange(20)])
-        heights = saw_tooth(turns, np.array([0.0, *[top, -1.1] * 10]))
-        on = np.searchsorted(turns, STEP_S * np.arange(N_STEPS + 1), side="right") % 2
-        x.append(np.column_stack([heights, np.full(N_STEPS + 1, 7.0), on]))
-    sums = (Sum(0, (Term(2), Term(-1))), Sum(1, (Term(-1),)), Sum(2, (Term(-1),)))
-    rates = [np.tile([2.0, -1.0], (3, 1)), np.zeros((3, 1)), np.zeros((3, 1))]
-    found = switch_rules(with_switches(two, ["on"]), sums, np.array(x), rates)
-    assert not isinstance(found, str)
-    rules, limits = found
-    # From 0 below and from 1 above, the state itself less nothing.
-    assert rules.tolist() == [[2, 0, 0, 4, -1], [2, 1, 0, 4, 1]]
-    np.testing.assert_allclose(limits, [[-1.1, top, 0.0, 0.0] for top in tops], atol=1e-8)
-
-
-def test_positions_are_variables_of_two_values_once_each() -> None:
-    rng = np.random.default_rng(0)
-    on = (rng.random((4, N_STEPS + 1)) > 0.5).astype(float)
-    power = np.array([3.0, 5.0, 2.0, 7.0])[:, None]
-    other = (rng.random((4, N_STEPS + 1)) > 0.5) * power
-    schedule = np.tile(on[:1], (4, 1))
-    level = rng.integers(0, 3, on.shape).astype(float)
-    # Never 0, so that one row does not say which of its positions is another row's.
-    standby = 1.0 + other
-    positions = SwitchPositions(PLAIN)
-    values = np.stack([on, other, 1.0 - on, schedule, level, standby], axis=-1)
-    positions.note(values[:3])
-    positions.note(values[3:])
-    found = positions.known()
-    assert list(found) == ["on", "power"]
-    np.testing.assert_array_equal(found["power"], other > 0.0)
-    rows = StateRows(
-        np.zeros((4, N_STEPS + 1, 1)), np.ones((4, N_STEPS + 1, 1)), np.zeros((4, N_STEPS + 1, 1))
-    )
-    more = with_positions(rows, [found["on"]])
-    np.testing.assert_array_equal(more.x[..., 1], on)
-    assert not more.slope[..., 1].any()
-    assert SWITCHED.units == ("K", "1")
-    assert SWITCHED.depends_on[0] == {"T", "on"}
 
 
 def test_a_thermostat_is_solved_anywhere_in_the_box_and_takes_five_calls() -> None:

@@ -1,15 +1,11 @@
 """The paper's method: what is counted, what is returned, and a screened point that fails."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from multistart_for_tests import multistart
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
 from toy_rc import ToyRC
 
 from simulation.forward_model import ForwardModel
-from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import TwoPhaseResult, calibrate_two_phase
@@ -44,13 +40,6 @@ def test_every_row_asked_of_the_physical_model_is_in_the_ledger() -> None:
     assert result.ledger.total_calls == 672 + len(diary.rows)
 
 
-def test_the_screened_point_is_simulated_once() -> None:
-    diary = Diary(ToyRC())
-    result = calibrate(WRONG, diary)
-    np.testing.assert_array_equal(diary.rows[0], result.screened.theta[0])
-    assert (np.abs(diary.rows[1:] - diary.rows[0]).max(axis=1) > 0).all()
-
-
 def test_the_polish_repairs_what_the_surrogate_did_not_see() -> None:
     result = calibrate(WRONG, ToyRC())
     problem = rc_problem(noise=0.05)
@@ -74,19 +63,6 @@ def test_calls_to_a_target_include_training_and_the_screening_check() -> None:
     assert result.history.calls_to(0.5 * result.polish.mse) is None
 
 
-def test_a_second_calibration_is_the_same() -> None:
-    first, second = calibrate(WRONG, ToyRC()), calibrate(WRONG, ToyRC())
-    np.testing.assert_array_equal(first.polish.theta, second.polish.theta)
-    assert first.ledger == second.ledger
-
-
-def test_a_budget_of_one_call_keeps_the_screened_point() -> None:
-    result = calibrate(WRONG, ToyRC(), polishing=LeastSquaresTRF(max_calls=1))
-    assert result.polish.mse == result.screened.mse[0]
-    assert result.ledger.n_polish == 0
-    assert result.polish.stop_reason == "the next step takes 2 calls and the budget of 1 has only 1 left"
-
-
 def test_a_screened_point_that_fails_gives_way_to_another() -> None:
     broad = DifferentialEvolution(popsize=32, maxiter=3)
     screened = calibrate(ToyRC(), ToyRC(), screening=broad).screened.theta[0, 0]
@@ -103,19 +79,3 @@ def test_a_physical_model_that_never_answers_is_a_result_not_an_error() -> None:
     result = calibrate(ToyRC(), ToyRC(fails_above_r=0.0))
     assert result.polish.mse == np.inf
     assert "cannot be simulated" in result.polish.stop_reason
-
-
-def test_the_ledger_adds_up_both_ways() -> None:
-    ledger = Ledger(n_train=64, n_validation=320, n_test=320, n_screen_checks=1, n_polish=123)
-    assert (ledger.total_paper, ledger.total_calls) == (188, 828)
-    assert replace(ledger, n_polish=0).to_dict()["total_paper"] == 65
-
-
-def test_more_starts_extend_fewer() -> None:
-    problem = rc_problem()
-    few, more = multistart(problem, 2, seed=5), multistart(problem, 4, seed=5)
-    np.testing.assert_array_equal(few.starts, more.starts[:2])
-    np.testing.assert_array_equal(few.mse, more.mse[:2])
-    assert more.best.mse == more.mse.min()
-    assert more.n_calls == sum(run.n_calls for run in more.runs)
-    assert len(more.calls_to(1e-3)) == 4

@@ -103,34 +103,29 @@ def test_simulate_as_json_is_one_document_and_the_rest_on_stderr(project: Path, 
     assert reused["files"] == stage["files"]
 
 
-def test_a_larger_training_set_goes_on_from_the_smaller_one(project: Path, studies: Run) -> None:
-    studies("simulate", "--profile", "smoke", "--json")
+def test_sets_and_labels_follow_sizes_windows_and_seeds(project: Path, studies: Run) -> None:
+    arguments = ("simulate", "--profile", "smoke", "--json", "-q")
+    plain = studies(*arguments).document
+    assert plain["label"] == "office-smoke"
+    first = plain["stages"][0]["files"]
+    own = studies(*arguments, "--window", "0-240h").document
+    assert (own["label"], own["stages"][0]["finished_before"]) == ("office-smoke", True)
+    other = studies(*arguments, "--window", "8-16", "--seed", "3").document
+    assert other["label"] == "office-smoke-d8-16-seed3"
+    assert set(other["stages"][0]["files"].values()).isdisjoint(first.values())
+    seeded = studies(*arguments, "--window", "0-10", "--seed", "3").document
+    assert seeded["label"] == "office-smoke-seed3"
+    files = seeded["stages"][0]["files"]
+    assert files["train"] != first["train"]
+    assert (files["validation"], files["test"]) == (first["validation"], first["test"])
+    # A larger training set goes on from the smaller one.
     profile = (REPOSITORY / "studies" / "profiles" / "smoke.toml").read_text()
     (project / "larger.toml").write_text(
         profile.replace('name = "smoke"', 'name = "larger"').replace("[16, 32]", "[16, 200]")
     )
-    answer = studies("simulate", "--profile", "larger.toml", "--json")
-    (stage,) = answer.document["stages"]
-    assert stage["n"]["train"] == 200
-    assert stage["n_reused"] == 96
-    assert answer.document["label"] == "office-larger"
-
-
-def test_window_and_seed_are_part_of_the_label(project: Path, studies: Run) -> None:
-    arguments = ("simulate", "--profile", "smoke", "--json", "-q")
-    plain = studies(*arguments).document
-    assert plain["label"] == "office-smoke"
-    own = studies(*arguments, "--window", "0-240h").document
-    assert (own["label"], own["stages"][0]["finished_before"]) == ("office-smoke", True)
-    own = studies(*arguments, "--window", "0-10", "--seed", "3").document
-    assert own["label"] == "office-smoke-seed3"
-    other = studies(*arguments, "--window", "8-16", "--seed", "3").document
-    assert other["label"] == "office-smoke-d8-16-seed3"
-    assert set(other["stages"][0]["files"].values()).isdisjoint(plain["stages"][0]["files"].values())
-    seeded = studies(*arguments, "--seed", "3").document["stages"][0]["files"]
-    first = plain["stages"][0]["files"]
-    assert seeded["train"] != first["train"]
-    assert (seeded["validation"], seeded["test"]) == (first["validation"], first["test"])
+    larger = studies("simulate", "--profile", "larger.toml", "--json").document
+    (stage,) = larger["stages"]
+    assert (larger["label"], stage["n"]["train"], stage["n_reused"]) == ("office-larger", 200, 96)
 
 
 def test_ui_refuses_a_label_without_work(project: Path, studies: Run) -> None:
@@ -183,7 +178,7 @@ def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
     theirs, ours = os.pipe()
     os.close(theirs)
     done = subprocess.run(
-        [sys.executable, "-m", "studies", "check", "--json"],
+        [sys.executable, "-m", "studies", "status", "--json"],
         stdout=ours,
         stderr=subprocess.PIPE,
         text=True,
@@ -243,19 +238,3 @@ def test_a_number_is_never_broken_and_a_unit_in_brackets_is_no_markup(
             assert f" {number} " in said.replace("\n", " \n")
         assert "[standard" in said
         assert max(map(len, said.splitlines())) <= width
-
-
-@pytest.mark.parametrize(
-    ("columns", "words"), [(60, "adaptive, 25 calls, b…"), (120, "adaptive, 25 calls, best MSE")]
-)
-def test_a_narrow_window_keeps_the_times_of_a_bar(
-    columns: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", str(columns))
-    monkeypatch.setenv("TERM", "xterm")
-    with Console().bars() as show:
-        show("adaptive", 25, 30, ", 25 calls, best MSE 0.0113 K²")
-    said = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", capsys.readouterr().err)
-    assert words in said
-    assert "0:00:00 to go" in said

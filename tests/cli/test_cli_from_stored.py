@@ -100,25 +100,12 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
     assert f"after 0 model calls, begun with {N_BEFORE} stored simulations" in text
 
 
-def test_who_begins_anew_is_before_what_is_stored(project: Path, studies: Run) -> None:
-    before = f"{N_BEFORE} stored simulations of this model: --from-stored begins with the best"
-    assert before in studies(*WALL, "--seed", "1", "--max-calls", "8").err
-    assert "--from-stored" not in studies(*WALL, "--from-stored", "--max-calls", "2").err
-
-
 def test_where_nothing_is_stored_it_begins_with_nothing(project: Path, studies: Run) -> None:
     shutil.rmtree(project / "data" / "wall" / "generated")
     answer = studies(*WALL, "--from-stored", "--max-calls", "8")
     assert answer.code == 0, answer.err
     assert "no good simulation within the bounds is stored" in answer.err
     assert results_of(project)["n_warm_start"] == 0
-
-
-def test_it_belongs_to_the_adaptive_method(project: Path, studies: Run) -> None:
-    answer = studies("calibrate", "wall", "--from-stored", "--n-train", "64")
-    assert answer.code == 2
-    assert answer.err.startswith("studies: error: --from-stored belongs to --method adaptive")
-    assert len(answer.err.splitlines()) == 1
 
 
 def test_files_that_have_changed_since_are_named(project: Path, studies: Run) -> None:

@@ -48,14 +48,12 @@ def test_a_prior_costs_no_simulation_again_and_is_shown(project: Path, studies: 
     ("prior", "message"),
     [
         ("{ about = 75, within = 0.1 }", 'prior does not fit scale = "log"; write within_factor'),
-        ("{ about = 75 }", 'prior does not fit scale = "log"; write within_factor'),
         (
             "{ abut = 75, within_factor = 2 }",
             "unknown key parameters[GIn].prior.abut (did you mean about?)",
         ),
         ("{ about = 7500, within_factor = 2 }", "prior: about = 7500 lies outside the bounds"),
         ("{ about = 75, within_factor = 0.5 }", "within_factor = 0.5; give a number above 1"),
-        ("75", "parameters[GIn].prior = 75: "),
     ],
 )
 def test_a_wrong_prior_is_one_line(project: Path, studies: Run, prior: str, message: str) -> None:

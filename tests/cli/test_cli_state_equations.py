@@ -78,12 +78,6 @@ def test_weather_inside_the_fmu_takes_as_few_calls(project: Path, studies: Run) 
     assert found["converged"]
 
 
-def test_it_is_made_again_to_the_last_digit(project: Path, studies: Run) -> None:
-    assert studies(*WALL).code == 0
-    answer = studies("reproduce", "wall-quick/adaptive")
-    assert answer.code == 0, answer.out + answer.err
-
-
 def test_where_nothing_can_be_learnt_it_says_so(
     project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,13 +88,6 @@ def test_where_nothing_can_be_learnt_it_says_so(
     assert "State equations of 3 states: not learnt, for no sum of states, inputs" in answer.out
     assert "makes up der(T): the best leaves" in answer.out
     assert not numbers_of(project, "thermostat")["state_equations"]["are_believed"]
-
-
-@pytest.mark.parametrize("option", ["--state-equations", "--no-state-equations"])
-def test_the_papers_method_knows_no_state_equations(project: Path, studies: Run, option: str) -> None:
-    answer = studies("calibrate", "wall", "--method", "paper", option)
-    assert answer.code == 2
-    assert f"{option} belongs to --method adaptive" in answer.err
 
 
 def test_who_wants_them_is_learnt_why_there_are_none(
@@ -137,17 +124,6 @@ def test_its_simulations_are_everybodys(
     assert studies("reproduce", "wall-quick/adaptive").code == 0
 
 
-def test_it_may_begin_with_what_is_stored_of_the_states(project: Path, studies: Run) -> None:
-    assert studies(*WALL).code == 0
-    n_stored = numbers_of(project, "wall")["ledger"]["total_paper"]
-    answer = studies(*WALL, "--from-stored", "--max-calls", "6")
-    assert answer.code == 0, answer.err
-    assert f"begins with {n_stored} stored simulations of this model" in answer.err
-    found = numbers_of(project, "wall")
-    assert found["ledger"]["total_paper"] <= 4
-    assert found["mse"] <= 0.00192
-
-
 def test_how_sure_it_is_takes_no_more_than_the_sample(
     made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,13 +144,3 @@ def test_how_sure_it_is_takes_no_more_than_the_sample(
     assert again.code == 0, again.err
     repeated = json.loads(file.read_text(encoding="utf-8"))["result"]
     assert repeated == found | {"n_simulated": 0}
-
-
-def test_a_target_that_cannot_be_reached_ends_it_as_well(
-    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy_of(made, tmp_path / "project", monkeypatch)
-    answer = studies(*WALL, "--target", "1e-6")
-    assert answer.code == 0, answer.err
-    assert "after 5 model calls" in answer.out
-    assert "it ended because the state equations expect a gain of less than 0.0001" in answer.out

@@ -1,11 +1,9 @@
 """The command line and the store: what is asked again, what stops a command, what a full disk does."""
 
 import re
-import shutil
 from pathlib import Path
 
 import pandas
-import pytest
 from project_for_tests import Run, stored_simulations
 
 SIMULATE = ("simulate", "--profile", "smoke", "--json")
@@ -61,27 +59,6 @@ def test_a_batch_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     assert "Traceback" not in answer.err
     assert answer.document["error"] in line
     assert len(rows_of(project)) >= 20
-
-
-def test_a_dask_cluster_simulates_the_same(project: Path, studies: Run, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    (here,) = studies(*SIMULATE).document["stages"]
-    shutil.rmtree(project / "data" / "office" / "generated")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", local_directory=str(tmp_path / "dask")
-    ) as cluster:
-        answer = studies(*SIMULATE, "--dask", cluster.scheduler_address)
-        (there,) = answer.document["stages"]
-    assert not there["finished_before"]
-    assert there["n_reused"] == 0
-    assert there["digests"] == here["digests"]
-
-
-@pytest.mark.parametrize("address", ["scheduler", "tcp://here"])
-def test_an_address_that_is_none_is_refused(project: Path, studies: Run, address: str) -> None:
-    answer = studies("simulate", "--dask", address)
-    assert answer.code == 2
-    assert "is no scheduler's address; give e.g. tcp://scheduler:8786" in answer.err
 
 
 def test_other_bounds_share_the_store_and_another_output_does_not(project: Path, studies: Run) -> None:

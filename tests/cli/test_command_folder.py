@@ -86,12 +86,6 @@ def test_what_a_killed_command_leaves_goes_with_the_next(temporary: Path) -> Non
     assert not list(temporary.iterdir())
 
 
-def test_a_command_that_ends_leaves_nothing(temporary: Path) -> None:
-    with busy(temporary, 0.1) as process:
-        assert process.wait(LIMIT_S) == 0
-    assert not list(temporary.iterdir())
-
-
 def test_a_command_that_makes_nothing_needs_no_temporary_folder(temporary: Path) -> None:
     temporary.chmod(0o500)
     next_command(temporary)

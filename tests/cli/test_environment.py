@@ -1,6 +1,5 @@
 """A machine that is in the way: one line with the remedy, exit code 1, no traceback."""
 
-import errno
 import os
 import re
 import shutil
@@ -11,8 +10,6 @@ from pathlib import Path
 import pytest
 from project_for_tests import REPOSITORY, Run
 
-from studies.environment import explain
-
 
 def test_a_file_in_the_place_of_a_folder_is_one_line(project: Path, studies: Run) -> None:
     shutil.rmtree(project / "mlruns", ignore_errors=True)
@@ -22,22 +19,6 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(project: Path, studies: Run
     assert len(answer.err.splitlines()) == 1
     assert "mlruns" in answer.document["error"]
     assert "move away the file" in answer.document["error"]
-
-
-@pytest.mark.parametrize(
-    ("error", "fragments"),
-    [
-        (OSError(errno.ENOSPC, "No space left on device", "mlruns/x"), ["mlruns/x", "free some space"]),
-        (OSError(errno.EACCES, "Permission denied", "mlruns/x"), ["mlruns/x", "allow"]),
-        (OSError(errno.ENOSPC, "No space left on device"), ["device; free"]),
-        (MemoryError("Unable to allocate 51.5 GiB"), ["51.5 GiB", "fewer samples"]),
-        (MemoryError(), ["memory"]),
-    ],
-)
-def test_what_is_in_the_way_is_named_with_its_remedy(error: Exception, fragments: list[str]) -> None:
-    line = explain(error)
-    assert line is not None
-    assert all(fragment in line for fragment in fragments)
 
 
 def below(limit: str, *words: str, folder: Path, **variables: str) -> tuple[int, list[str]]:

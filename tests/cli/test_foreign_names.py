@@ -49,24 +49,6 @@ def test_a_case_of_such_a_name_is_refused(project: Path, studies: Run, name: str
     assert "name" in refusal(studies("check"))
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_a_profile_of_such_a_name_is_refused(project: Path, studies: Run, name: str) -> None:
-    text = (Path(__file__).parents[2] / "studies" / "profiles" / "smoke.toml").read_text(encoding="utf-8")
-    (project / "own.toml").write_text(text.replace('"smoke"', toml(name), 1), encoding="utf-8")
-    assert "name" in refusal(studies("check", "--profile", "own.toml"))
-
-
-@pytest.mark.parametrize("key", ["fmu", "data", "file", "unit", "column"])
-def test_no_text_of_a_case_file_holds_control_signs(project: Path, studies: Run, key: str) -> None:
-    case = project / "fmus" / "office" / "case.toml"
-    lines = case.read_text(encoding="utf-8").splitlines()
-    place = next(i for i, line in enumerate(lines) if line.startswith(f"{key} ="))
-    for sign in ("\0", "\x1b", "\n"):
-        lines[place] = f"{key} = {toml(f'a{sign}b')}"
-        case.write_text("\n".join(lines), encoding="utf-8")
-        assert f"{key} = " in refusal(studies("check"))
-
-
 @pytest.mark.parametrize(
     "content",
     [

@@ -7,12 +7,10 @@ from typing import Any
 
 import fmpy
 import pytest
-from project_for_tests import OFFICE, Run
+from project_for_tests import Run
 
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
-from simulation.fmi.variable import FmuVariable
-from studies.new.choice import bounds_for
 
 HEAD_2 = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -138,14 +136,6 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
     assert everything.fixed["table"] == "a\\b.txt"
 
 
-def test_patterns_choose_and_brackets_are_no_pattern(project: Path, studies: Run, room: Path) -> None:
-    answer = studies(
-        "new", str(room), "--output", "Q", "T", "--parameter", "wall.d[1]", "--parameter", "U*", "--json"
-    )
-    assert answer.document["parameters"] == ["wall.d[1]", "UA"]
-    assert answer.document["outputs"] == ["Q", "T"]
-
-
 def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None:
     assert studies("new", str(room)).code == 0
     file = project / "fmus" / "my-room-v2" / "case.toml"
@@ -167,20 +157,6 @@ def test_an_input_can_be_a_parameter(project: Path, studies: Run, room: Path) ->
     assert "TAmb" not in [one["name"] for one in case.get("inputs", ())]
 
 
-def test_local_variables_are_listed_and_patterns_match_them(
-    project: Path, studies: Run, tmp_path: Path
-) -> None:
-    variables = real("UA", 1, "parameter", 'start="1"') + real("T", 2, "output")
-    variables += real("wall.T1", 3, "local") + real("wall.T2", 4, "local") + real("Tx", 5, "local")
-    fmu = make_fmu(tmp_path / "inside.fmu", variables)
-    listed = studies("new", str(fmu), "--list", "--json").document
-    assert [one["name"] for one in listed["locals"]] == ["wall.T1", "wall.T2", "Tx"]
-    assert [one["name"] for one in listed["outputs"]] == ["T"]
-    # What matches an output means outputs.
-    words = ("--output", "T*", "wall.*", "--json")
-    assert studies("new", str(fmu), *words).document["outputs"] == ["T", "wall.T1", "wall.T2"]
-
-
 def test_a_command_killed_between_any_two_writes_can_be_typed_again(
     project: Path, studies: Run, room: Path
 ) -> None:
@@ -196,54 +172,6 @@ def test_a_command_killed_between_any_two_writes_can_be_typed_again(
         assert studies("new", str(room)).code == 0
         found = {file: file.read_bytes() for place in (data, folder) for file in place.iterdir()}
         assert found == made
-
-
-@pytest.mark.parametrize("below", ["below"])
-def test_a_folder_that_cannot_be_made_is_one_line(
-    project: Path, studies: Run, room: Path, below: str
-) -> None:
-    taken = project / "taken"
-    taken.write_text("a file", encoding="utf-8")
-    before = sorted(project.rglob("*"))
-    answer = studies("new", str(room), "--to", str(taken / below))
-    assert answer.code == 2
-    (line,) = answer.err.splitlines()
-    for fragment in ("taken: the case cannot be written there", "--to FOLDER"):
-        assert fragment in line.replace("/below", "")
-    assert sorted(project.rglob("*")) == before
-    assert taken.read_text(encoding="utf-8") == "a file"
-
-
-def test_check_says_which_csv_is_missing_and_what_it_holds(project: Path, studies: Run) -> None:
-    assert studies("new", str(OFFICE / "Office.fmu"), "--to", "fmus/flat").code == 0
-    answer = studies("check", "flat", "--profile", "smoke")
-    assert answer.code == 2
-    (line,) = answer.err.splitlines()
-    assert "data/flat/measured.csv" in line
-    for word in ("time_s", "TAir", "README.md"):
-        assert word in line
-
-
-def test_a_short_experiment_is_reported_in_seconds(project: Path, studies: Run, tmp_path: Path) -> None:
-    experiment = '<DefaultExperiment startTime="0" stopTime="10" stepSize="0.1"/>'
-    variables = real("k", 1, "parameter", 'start="1"') + real("y", 2, "output")
-    # Tools put the experiment behind the interfaces.
-    fmu = make_fmu(tmp_path / "swing.fmu", variables, extra=experiment)
-    assert studies("new", str(fmu)).code == 0
-    time = case_of(project, "swing")["time"]
-    assert time == {"window_s": [0, 10], "communication_step_s": 0.1, "output_step_s": 0.1}
-
-
-def test_an_fmu_without_outputs_offers_its_variables(project: Path, studies: Run, tmp_path: Path) -> None:
-    variables = real("k", 1, "parameter", 'start="1"') + real("TSup", 2, "local") + real("TRet", 3, "local")
-    fmu = make_fmu(tmp_path / "inner.fmu", variables)
-    answer = studies("new", str(fmu))
-    assert answer.code == 0, answer.err
-    assert [table["name"] for table in case_of(project, "inner")["outputs"]] == ["TSup"]
-    lines = (project / "fmus" / "inner" / "case.toml").read_text(encoding="utf-8").splitlines()
-    assert any(line.startswith('name = "TSup"   # EDIT: the variable that was measured') for line in lines)
-    assert '# name = "TRet"' in "\n".join(lines)
-    assert "TRet" in studies("new", str(fmu), "--list").out
 
 
 @pytest.mark.parametrize(
@@ -326,27 +254,3 @@ def test_the_list_shows_every_variable_and_writes_nothing(project: Path, studies
     assert {one["name"] for one in document["parameters"]} >= {"UA", "wall.k", "n.windows", "_cs_tol"}
     assert "wall.d[1]" in studies("new", str(room), "--list").out
     assert sorted(project.rglob("*")) == before
-
-
-@pytest.mark.parametrize(
-    ("start", "low", "high", "unit", "lower", "upper", "scale"),
-    [
-        (10.0, None, None, "W", 2.0, 50.0, "log"),
-        (-10.0, None, None, "W", -50.0, -2.0, "linear"),
-        # The FMU's own bounds where they say something,
-        (0.5, 0.0, 1.0, "1", 0.0, 1.0, "linear"),
-        # and only as an end where they are the limits of what can be.
-        (0.5, 0.0, 1e100, "m", 0.1, 2.5, "log"),
-        (293.15, 0.0, 1e4, "K", 283.15, 303.15, "linear"),
-        (20.0, None, None, "degC", 10.0, 30.0, "linear"),
-        # A start value outside its own bounds says that the bounds are wrong.
-        (5.0, 10.0, 20.0, "m", 1.0, 25.0, "log"),
-    ],
-)
-def test_bounds_come_from_the_fmu_or_from_the_start_value(
-    start: float, low: float | None, high: float | None, unit: str, lower: float, upper: float, scale: str
-) -> None:
-    variable = FmuVariable("p", 0, "parameter", "Real", unit, start, low, high, "")
-    bounds = bounds_for(variable)
-    assert (bounds.lower, bounds.upper, bounds.scale) == (lower, upper, scale)
-    assert not bounds.is_guess

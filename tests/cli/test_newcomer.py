@@ -46,17 +46,6 @@ def test_from_a_foreign_fmu_to_calibrated_values(
     assert_calibrated(fewest.stage["theta"])
     assert fewest.stage["ledger"]["total_calls"] <= 60
 
-    run = studies("run", "heatedtank", "--profile", "smoke", "--n-train", "32")
-    assert run.code == 0, run.err
-    assert re.search(r"UA\s+W/K\s+12\s+", run.out[run.out.index("Parameters, calibrated") :])
-    assert (project / "mlruns" / "reports" / "heatedtank-smoke" / "index.html").is_file()
-
-    stored = studies("calibrate", "heatedtank", "--profile", "smoke", "--n-train", "32", "--json")
-    (found,) = stored.document["stages"]
-    assert found["finished_before"]
-    assert found["mse"] < 0.02
-    assert_calibrated(found["theta"])
-
 
 def assert_calibrated(theta: dict[str, float]) -> None:
     """The equation holds C, UA and eta up to a common factor: test what the data determine."""

@@ -63,15 +63,6 @@ def test_the_same_case_file_may_be_edited_and_given_in_other_words(project: Path
     assert results_in(project)["calibrate-adaptive.json"] != before["calibrate-adaptive.json"]
 
 
-def test_a_project_goes_on_in_another_folder_though_the_first_still_stands(
-    project: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy_of(project, tmp_path / "moved", monkeypatch)
-    answer = studies("calibrate", "wall", "--max-calls", "8", "--jobs", "1")
-    assert answer.code == 0
-    assert "finished before" in answer.err
-
-
 @pytest.mark.parametrize("is_kept", [True, False], ids=["renamed", "removed"])
 def test_a_name_that_was_given_away_is_free(
     project: Path, studies: Run, other: Path, is_kept: bool, monkeypatch: pytest.MonkeyPatch

@@ -3,11 +3,8 @@
 from pathlib import Path
 
 import pytest
-from project_for_tests import make_project
 
-from simulation.errors import InputError
 from studies.commands.values import window
-from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile, profile_names
 
 
@@ -38,14 +35,3 @@ def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
 def test_a_window_keeps_all_its_digits_and_can_be_typed_again(text: str, label: str) -> None:
     asked = window(text)
     assert (asked.label, str(asked), window(str(asked))) == (label, text, asked)
-
-
-def test_cases_are_found_by_folder_name_and_by_file_name(tmp_path: Path) -> None:
-    root = make_project(tmp_path / "project")
-    other = root / "fmus" / "office" / "winter.toml"
-    other.write_text("", encoding="utf-8")
-    paths = ProjectPaths(root)
-    assert find_case(paths, "office") == root / "fmus" / "office" / "case.toml"
-    assert find_case(paths, "winter") == other
-    with pytest.raises(InputError, match="did you mean 'winter'"):
-        find_case(paths, "wintr")

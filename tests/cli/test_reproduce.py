@@ -141,8 +141,6 @@ def test_what_was_changed_since_is_one_line(copied: Path, studies: Run, change: 
     [
         ("office-smoke/n0077", "nothing is called 'office-smoke/n0077'"),
         ("office-smoke", "nothing is called"),
-        ("office-large/adaptive", "nothing is called"),
-        ("0123456789abcdef", "nothing is called"),
         ("0123456789abcdef0123456789abcdef", "nothing is called"),
     ],
 )
@@ -182,12 +180,9 @@ def test_a_damaged_record_of_a_run_is_one_line_at_the_terminal(copied: Path, stu
     [
         (1.0, 1.0, True, 0.0),
         (1.0, np.nextafter(1.0, 2.0), False, 2.220446049250313e-16),
-        (float("nan"), float("nan"), True, 0.0),
         (1.0, None, False, None),
         ("pruned", "pruned", True, None),
-        ([1.0, 2.0], [1.0, 2.0], True, 0.0),
         ([1.0, 2.0], [1.0, 2.5], False, 0.25),
-        ([1.0, 2.0], [1.0], False, None),
         ([1.0, float("nan")], [1.0, float("nan")], True, 0.0),
     ],
 )

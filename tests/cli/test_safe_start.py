@@ -15,7 +15,6 @@ from simulation.pool.safe_start import as_for_fmus, start_safely
 
 HOSTILE = ("mlflow", "multiprocessing", "numpy", "pickle", "random", "signal", "socket", "uvicorn")
 LIMIT_S = 300.0
-WAYS = [("-m", "studies"), ("-P", "-m", "studies"), ("script",)]
 
 
 @pytest.fixture
@@ -56,11 +55,8 @@ def run(hostile: Path, way: tuple[str, ...], *words: str) -> None:
     assert not (hostile.parent / "caught").exists()
 
 
-@pytest.mark.parametrize("way", WAYS, ids="".join)
-def test_no_worker_of_simulations_imports_from_the_working_folder(
-    hostile: Path, way: tuple[str, ...]
-) -> None:
-    run(hostile, way, "simulate", "wall", "--profile", "smoke", "--jobs", "2")
+def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path) -> None:
+    run(hostile, ("-m", "studies"), "simulate", "wall", "--profile", "smoke", "--jobs", "2")
 
 
 def test_no_worker_of_tuning_and_no_server_imports_from_the_working_folder(hostile: Path) -> None:

@@ -78,28 +78,6 @@ def test_running_and_waiting_trials_are_counted(project: Path, studies: Run) -> 
     assert (found["n_running"], found["n_waiting"], found["to_go_s"]) == (1, 1, 10 * WALL_S)
 
 
-def test_trials_and_studies_of_others_are_counted_or_let_be(project: Path, studies: Run) -> None:
-    study = write_study(project, declared("office-quick", 64), n_trials=3)
-    best = study.best_trial
-    study.add_trial(optuna.create_trial(params=best.params, distributions=SPACE, value=1e-6))
-    optuna.create_study(storage=f"sqlite:///{project}/mlruns/optuna.db", study_name="another program's")
-    (found,) = studies("status", "--json").document["studies"]
-    # Nothing was trained here that could be registered or calibrated with.
-    assert (found["n_complete"], found["trial"]) == (4, best.number)
-    (size,) = studies("best", "--json").document["sizes"]
-    assert (size["trial"], size["n_trials"]) == (best.number, 4)
-
-
-def test_duplicates_have_their_whole_names_and_best_takes_the_latest(project: Path, studies: Run) -> None:
-    specs = [declared("office-quick", 64, seed=seed) for seed in (1, 2)]
-    duplicates = [write_study(project, spec, n_trials=4) for spec in specs]
-    shown = studies("status").out
-    assert all(spec.name in shown for spec in specs)
-    (model,) = studies("best", "--json").document["sizes"]
-    assert model["study"] == specs[1].name
-    assert model["mae"] == duplicates[1].best_trial.user_attrs["test/mae"]
-
-
 def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run) -> None:
     for label in ("office-quick", "office-quick-seed1", "office-paper"):
         write_study(project, declared(label, 64), n_trials=1)
@@ -119,15 +97,6 @@ def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run)
         assert answer.code == 2
         assert answer.err.count("\n") == 1
         assert "labels: office-paper, office-quick" in answer.err
-
-
-def test_a_study_of_another_version_is_one_line(project: Path, studies: Run) -> None:
-    study = write_study(project, declared("office-quick", 64), n_trials=1)
-    study.set_user_attr("declaration", study.user_attrs["declaration"] | {"objectives": ["mae"]})
-    for command in ("status", "best"):
-        answer = studies(command)
-        assert (answer.code, answer.err.count("\n")) == (2, 1)
-        assert "unknown key objectives" in answer.err
 
 
 def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(

@@ -10,27 +10,10 @@ import numpy as np
 import pytest
 from mlflow_store_for_tests import give_store
 
-from studies import CalibrationResult, InputError, StageError, calibrate, load_case, run, tune
+from studies import CalibrationResult, InputError, StageError, calibrate, load_case, run
 from studies.cli import main
 
 ROOT = Path(__file__).parents[2]
-TINY = """\
-name = "tiny"
-[data]
-n_train = [16]
-n_validation = 32
-n_test = 32
-[sensitivity]
-n_base = 8
-[tuning]
-n_trials = 2
-max_epochs = 10
-[screening]
-popsize = 4
-maxiter = 10
-[polish]
-max_calls = 20
-"""
 SCRIPT = """
 import sys
 sys.path.insert(0, {root!r})
@@ -46,7 +29,6 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which a script has calibrated the wall with seed 1."""
     root = tmp_path_factory.mktemp("python") / "project"
     give_store(root)
-    (root / "tiny.toml").write_text(TINY, encoding="utf-8")
     (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     (root / "script.py").write_text(SCRIPT.format(root=str(ROOT)), encoding="utf-8")
     command = [sys.executable, "-W", "error", "script.py"]
@@ -80,13 +62,6 @@ def test_a_calibration_is_that_of_the_command_line(
     assert found.calls == stage["ledger"]["n_adaptive"] > 0
 
 
-def test_a_result_names_units_and_bounds(found: CalibrationResult) -> None:
-    conductance = found.theta.loc["GIn"]
-    assert (conductance["unit"], conductance["lower"], conductance["upper"]) == ("W/K", 7.5, 750.0)
-    assert found.theta["determined"].all()
-    assert found.units == {"TMasonry": "degC", "QRoom": "W"}
-
-
 def test_the_trajectories_give_the_error_again(found: CalibrationResult) -> None:
     measurement, terms = load_case("wall").measurement, []
     for name, sensor in zip(measurement.output_names, measurement.uncertainty, strict=True):
@@ -105,22 +80,6 @@ def test_a_result_is_drawn_and_shown(found: CalibrationResult) -> None:
     assert f"<td>{found.theta.loc['GIn', 'value']:.6g}</td>" in page
     assert f"Note: {load_case('wall').note}".replace("'", "&#x27;") in page
     assert repr(found).startswith("wall-quick-seed1/adaptive: MSE 0.0019")
-
-
-def test_a_run_tunes_and_calibrates_each_size_and_is_found_again(capsys: pytest.CaptureFixture[str]) -> None:
-    profile = "tiny.toml"
-    ran = run(profile=profile, jobs=2)
-    capsys.readouterr()
-    sizes = tune(profile=profile, jobs=2)
-    assert "tune: finished before" in capsys.readouterr().err
-    assert list(sizes.index) == [16]
-    assert sizes.loc[16, "n_trials"] == 2
-    assert {"n_latent", "n_hidden", "beta"} <= set(sizes.loc[16, "params"])
-    again = calibrate(profile=profile, n_train=16)
-    assert again.name == ran.name == "office-tiny/n0016"
-    assert again.theta.equals(ran.theta)
-    assert ran.calls >= 16 + 32 + 32 + 2
-    assert ran.trajectories.columns.tolist() == [("TAir", "measured"), ("TAir", "calibrated")]
 
 
 def test_keywords_are_words_of_the_command_line() -> None:

@@ -18,13 +18,16 @@ from commands_shown_for_tests import WHY_NOT, give_what_commands_name, lines_sho
 
 from simulation.case import load_case
 from simulation.measurement import Measurement
+from studies import api
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.cli import main
-from studies.paths import ProjectPaths
+from studies.paths import ProjectPaths, find_project
 from studies.profile import PROFILE_FOLDER
+from studies.project import read_project
 from studies.surrogate_model import SurrogateModel
+from studies.tracking.quiet_mlflow import connect
 from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import RunStore
 
@@ -130,10 +133,25 @@ def test_the_office_is_calibrated_close_to_the_best_known_error(first: Done) -> 
     assert min(errors) >= 0.999 * BEST_MSE
 
 
-def test_a_second_run_does_nothing_twice(first: Done, profiles: Path) -> None:
-    again = run(first.project, profiles)
-    assert all(stage["finished_before"] for stage in again.document["stages"][1:])
-    assert [c["mse"] for c in again.calibrations] == [c["mse"] for c in first.calibrations]
+def test_python_finds_what_the_command_has_made_and_does_nothing_twice(
+    first: Done, profiles: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(first.project)
+    chosen: dict[str, Any] = {"profile": str(profiles / "quick.toml"), "trials": N_TRIALS}
+    ran = api.run(n_train=SIZES, **chosen)
+    said = capsys.readouterr().err
+    for stage in ("sensitivity", "tune", "calibrate-n0032", "calibrate-n0064", "report"):
+        assert f"{stage}: finished before" in said
+    sizes = api.tune(n_train=SIZES, **chosen)
+    assert list(sizes.index) == list(SIZES)
+    assert (sizes["n_trials"] == N_TRIALS).all()
+    assert {"n_latent", "n_hidden", "beta"} <= set(sizes.loc[32, "params"])
+    for one in first.calibrations:
+        again = api.calibrate(profile=chosen["profile"], n_train=one["n_train"])
+        assert (again.mse, again.theta["value"].to_dict()) == (one["mse"], one["theta"])
+        assert again.calls == one["ledger"]["total_calls"] >= one["n_train"] + 640
+    assert ran.mse == min(one["mse"] for one in first.calibrations)
+    assert ran.trajectories.columns.tolist() == [("TAir", "measured"), ("TAir", "calibrated")]
 
 
 def test_the_sampler_proposes_at_least_half_of_the_trials_of_each_size(first: Done) -> None:
@@ -187,6 +205,44 @@ def test_known_parameters_are_found_again_up_to_what_they_do(first: Done) -> Non
     # The data do not determine each parameter, but the temperature to well below a sensor's noise (0.05 K).
     assert result.polish.mse < 0.02**2
     assert result.history.calls_to(0.05**2) is not None
+
+
+def test_a_pruned_trial_is_made_again_as_far_as_it_came(
+    first: Done, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("STUDIES_ROOT", str(first.project))
+    client = connect(ProjectPaths(first.project).tracking_uri)
+    experiment = client.get_experiment_by_name(LABEL)
+    assert experiment is not None
+    pruned = client.search_runs([experiment.experiment_id], "tags.pruned = 'True'")[0].info.run_id
+    capsys.readouterr()
+    assert main(["reproduce", pruned, "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["numbers"]}
+    assert rows["curve/validation_mae"]["is_equal"]
+    assert "test/mae" not in rows
+
+
+def test_the_page_of_values_runs_and_its_answers_are_right(
+    first: Done, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxruntime", reason="pip install -e '.[onnx]'")
+    monkeypatch.chdir(first.project)
+    names: dict[str, Any] = {}
+    page = (REPOSITORY / "docs" / "how-to" / "values.md").read_text("utf-8")
+    for kind, block in re.findall(r"^```(\w+)\n(.*?)^```$", page, re.M | re.S):
+        if kind == "python":
+            exec(block, names)
+        else:
+            assert [main(line.split()[1:]) for line in block.splitlines()] == [0] * block.count("\n")
+    tuned = [one for one in read_project(find_project(None)).studies if not one.spec.is_baseline]
+    best = min((one.best for one in tuned if one.best), key=lambda one: one.metrics["val/mae"])
+    case = api.load_case("office")
+    assert [name for name, _ in json.loads(names["about"]["parameters"])] == list(case.parameter_space.names)
+    np.testing.assert_array_equal(json.loads(names["about"]["time_s"]), case.measurement.time)
+    expected = load_surrogate(RunStore(ProjectPaths(first.project)), best.run_id).predict(names["theta"])
+    # Relative to the largest value, as the page says.
+    assert (np.abs(names["y"] - expected) <= 1e-6 * np.abs(expected).max()).all()
+    assert names["result"]["TAir"][0] == names["values"]["TAirInit"]
 
 
 def test_the_python_of_the_pages_runs_in_this_project(first: Done) -> None:

@@ -15,19 +15,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "parts"),
-    [
-        ("zone.wall.R", ["zone", "wall", "R"]),
-        ("'my wall'.R 1", ["'my wall'", "'R 1'"]),
-        ("2nd", ["'2nd'"]),
-        ("a\\b", ["'a\\\\b'"]),
-    ],
-)
-def test_names_become_identifiers(name: str, parts: list[str]) -> None:
-    assert identifiers(name) == parts
-
-
 @pytest.mark.parametrize("name", ["R[1]", "it's", "a..b", "R\n); end M; model N(", "der(x)", "Höhe", ""])
 def test_names_without_a_modifier_are_refused(name: str) -> None:
     with pytest.raises(InputError, match="Modelica has no modifier for such a name; use --write ssv"):
@@ -59,10 +46,3 @@ def test_bad_use_gets_a_line_with_the_remedy(
     (line,) = capsys.readouterr().err.splitlines()
     assert remedy in line
     assert not list(Path().iterdir())
-
-
-def test_a_project_without_a_calibration_says_what_to_type(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["best", "--write", "ssv"]) == 2
-    assert "--write needs one calibrated case; type studies calibrate first" in capsys.readouterr().err

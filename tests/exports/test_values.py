@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT), str(ROOT / "tests" / "simulation")]  # the compiler, and an FMU with every type
 
 
-@pytest.fixture(scope="module", params=["office", "kinds2", "kinds3"])
+@pytest.fixture(scope="module", params=["office", "kinds3"])
 def project(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with one calibrated case; to be read only."""
     root = tmp_path_factory.mktemp(request.param) / "project"
@@ -41,7 +41,7 @@ def project(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
         name = request.param.rstrip("23")
-        assert main(["calibrate", name, "--max-calls", "20", "--jobs", "1", "-q"]) == 0
+        assert main(["calibrate", name, "--max-calls", "15", "--jobs", "1", "-q"]) == 0
     return root
 
 

@@ -14,10 +14,8 @@ sys.path.insert(0, str(Path(__file__).parent / "bad"))
 from bad_fmus import (
     COUNT_VARIABLE,
     PARAMETERS,
-    SOMETIMES,
     build_bad_fmu,
     closed_form,
-    counted,
     make_theta,
 )
 
@@ -39,12 +37,8 @@ REASONS = {
     "CRASH": r"^2 times: the FMU crashed its process \(SIGSEGV\)",
     "HANG": r"^did not answer within 0\.5 s and was stopped$",
     "EXIT": r"^2 times: the FMU ended its process with exit code 3",
-    "NANS": r"\by\b.*(nan|not finite)",
-    "ERROR": r"Error.*the valve is stuck",
-    "DISCARD": r"Discard.*the step does not converge",
     "FATAL": r"Fatal.*the heap is broken",
     "ONCE": r"Error.*the valve is stuck",
-    "ASSERTS": r"Error.*assertion: the flow reverses",
 }
 
 
@@ -104,7 +98,7 @@ def simulated(fmu, theta, *, n_workers=2, **policy):
         return model.simulate(theta)
 
 
-@pytest.mark.parametrize("behaviour", SOMETIMES)
+@pytest.mark.parametrize("behaviour", REASONS)
 def test_exactly_the_bad_rows_fail_and_say_why(behaviour, bad_fmu, trace):
     theta = make_theta(N, BAD_ROWS)
     answer = simulated(bad_fmu(behaviour), theta, timeout_s=TIMEOUT_S if behaviour == "HANG" else None)
@@ -118,22 +112,13 @@ def test_exactly_the_bad_rows_fail_and_say_why(behaviour, bad_fmu, trace):
         assert re.search(REASONS[behaviour], answer.failures[row]), answer.failures[row]
 
 
-@pytest.mark.parametrize("behaviour", ["LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES"])
+@pytest.mark.parametrize("behaviour", ["LEAK", "NO_RESET", "PRINTS", "WRITES"])
 def test_what_is_always_bad_falsifies_no_row(behaviour, bad_fmu, trace, capfd):
     theta = make_theta(N, BAD_ROWS)
     answer = simulated(bad_fmu(behaviour), theta, max_growth_mb=100.0)
     assert not answer.failed.any()
     np.testing.assert_allclose(answer.y[:, :, 0], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
     assert capfd.readouterr() == ("", "")
-
-
-def test_good_rows_are_simulated_once(bad_fmu, trace):
-    theta = make_theta(N, [])
-    assert not simulated(bad_fmu("GOOD"), theta, n_workers=1).failed.any()
-    times = counted(trace)
-    assert set(times) == {tuple(row) for row in theta}
-    # Once in each process a row is repeated, to see whether a reset is one.
-    assert sum(times.values()) == N + 1
 
 
 def has_loaded(process):

@@ -151,16 +151,19 @@ def test_the_installed_package_writes_into_the_project_alone(site: Path, tmp_pat
     before = contents(site)
     at = run(sys.executable, "-c", "import studies; print(studies.__file__)", where=project, **environment)
     assert Path(at.strip()).is_relative_to(site)
-    for reading in (["--help"], ["status"], ["best"], ["run", "wall", "--dry-run"]):
+    for reading in (["status"], ["run", "wall", "--dry-run"]):
         studies(*reading)
         assert not contents(project), f"{reading} wrote something"
     (project / "below").mkdir()
-    assert "0 failed" in studies("check", "wall", "--jobs", "2")
+    studies("calibrate", "wall", "-q")
     assert (project / "studies.toml").is_file()
-    studies("calibrate", "wall", "-q", where=project / "below")
     studies("new", REPOSITORY / "fmus" / "vanderpol" / "VanDerPol.fmu", where=project / "below")
     made = contents(project)
-    assert {"studies.toml", "fmus/vanderpol/case.toml", "mlruns/results/wall-quick/check.json"} <= made.keys()
+    assert {
+        "studies.toml",
+        "fmus/vanderpol/case.toml",
+        "mlruns/results/wall-quick/calibrate-adaptive.json",
+    } <= made.keys()
     assert any(name.startswith("data/wall/generated/") for name in made)
     assert {name.split("/")[0] for name in made} == {"studies.toml", "fmus", "data", "mlruns"}
     assert contents(site) == before

@@ -9,9 +9,7 @@ import pytest
 from simulation.errors import InputError
 from studies import entry
 from studies.cli import main
-from studies.commands.study import _keep_compiled_loops
 from studies.console import Console
-from studies.embedded import adopt_cases
 from studies.marker import mark_project
 from studies.paths import ProjectPaths, find_case, find_project
 
@@ -59,27 +57,6 @@ def test_a_new_case_lands_where_one_stands(folder: Path, capsys: pytest.CaptureF
     assert sorted(place.name for place in folder.iterdir()) == ["data", "fmus", "studies.toml"]
 
 
-def test_recorded_names_hold_wherever_the_project_moves(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    paths = ProjectPaths(folder.parent)
-    monkeypatch.chdir(folder)
-    assert paths.recorded(paths.mlruns / "x.json") == "mlruns/x.json"
-    assert paths.recorded(WALL) == "fmus/wall/Wall.fmu"
-    assert paths.recorded(Path("/outside/x.json")) == "/outside/x.json"
-    assert paths.recorded(REPOSITORY / "pyproject.toml") == str(REPOSITORY / "pyproject.toml")
-
-
-def test_a_recorded_name_is_the_projects_own_file_first(folder: Path) -> None:
-    paths = ProjectPaths(folder)
-    assert paths.located("fmus/wall/Wall.fmu") == WALL
-    own = folder / "fmus" / "wall" / "Wall.fmu"
-    own.parent.mkdir(parents=True)
-    own.touch()
-    assert paths.located("fmus/wall/Wall.fmu") == own
-    assert paths.located("mlruns/x.json") is None
-
-
 @pytest.mark.parametrize(
     "place", ["../x", "fmus/../../x", "/etc/passwd", "~/x", "a\0b", "x" * 5000, "pipe", 3]
 )
@@ -103,30 +80,6 @@ def test_a_case_of_the_project_comes_before_an_embedded_one(folder: Path) -> Non
     own.unlink()
     own.symlink_to(own)  # a link that leads nowhere is the project's, too
     assert find_case(paths, "wall") == own
-
-
-def test_cases_are_copied_to_their_recording(folder: Path) -> None:
-    adopted = {file.relative_to(folder).as_posix() for file in adopt_cases(folder, "office-recorded")}
-    assert adopted == {
-        "fmus/office-authors/case.toml",
-        "fmus/office-recorded/case.toml",
-        "fmus/office-whitebox-metered/office-whitebox-recorded.toml",
-    }
-    assert (folder / "fmus" / "office" / "Office.fmu").is_file()
-    assert adopt_cases(folder, "office-recorded") == []
-    assert adopt_cases(REPOSITORY, "office-recorded") == []
-
-
-def test_compiled_loops_go_to_the_project_where_the_package_cannot_be_written(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    _keep_compiled_loops(ProjectPaths(folder))
-    assert "NUMBA_CACHE_DIR" not in os.environ
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    _keep_compiled_loops(ProjectPaths(folder))
-    assert os.environ["NUMBA_CACHE_DIR"] == str(folder / "mlruns" / "compiled")
 
 
 def test_another_machine_gets_one_line_with_what_is_missing(

@@ -17,8 +17,6 @@ from studies.cli import main
 from studies.paper.fig6 import SizeTrials, Trial, Tuning, shown
 from studies.paper.items import read_sizes, write_size
 from studies.report.wording import count, percent, setting, significant
-from studies.search_space import SearchParameter
-from studies.tuning.study_results import importances
 
 SEARCH: dict[str, dict[str, Any]] = {
     "n_latent": {"kind": "int", "low": 8, "high": 256, "log": True},
@@ -118,13 +116,6 @@ def documented_row(row: Mapping[str, Any]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def test_files_are_read_as_they_were_written(tmp_path: Path) -> None:
-    sizes = (size(32, 1.2, 1.0), size(1024, 0.1, 0.08))
-    for one in sizes:
-        write_size(tmp_path, ORIGIN, one.n_train, one)
-    assert read_sizes(tmp_path, SizeTrials) == (ORIGIN, sizes)
-
-
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Draw) -> None:
     words = ("--only", "fig6", "--from", str(tmp_path))
     assert "holds no results of this item" in draw(*words)[1]["error"]
@@ -137,12 +128,3 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Dra
     (tmp_path / "n0064.json").write_text('{"schema": 1}')
     with pytest.raises(InputError, match=r"n0064.json: .* use the version that wrote it"):
         read_sizes(tmp_path, SizeTrials)
-
-
-def test_what_decides_the_order_is_most_important() -> None:
-    space = {name: SearchParameter(**one) for name, one in SEARCH.items()}
-    points = [{"n_latent": 8 + 4 * i, "n_hidden": 64 + (173 * i) % 448} for i in range(40)]
-    found = importances(points, [float(point["n_latent"]) for point in points], space)
-    assert list(found) == ["n_latent", "n_hidden"]
-    assert sum(found.values()) == pytest.approx(1.0)
-    assert importances(points[:3], [1.0, 2.0, 3.0], space) == {}

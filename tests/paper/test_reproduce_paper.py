@@ -121,10 +121,3 @@ def test_hyperparameters_that_do_not_fit_are_refused(reproduce: Reproduce) -> No
     assert (code, "nowhere holds no results of this item" in document["error"]) == (2, True)
     code, document = reproduce("--only", "table4", "--hyperparameters", str(COMMITTED / "fig6"))
     assert (code, "holds no trials of n_train = 16" in document["error"]) == (2, True)
-
-
-def test_unknown_words_are_one_line(reproduce: Reproduce) -> None:
-    code, document = reproduce("--only", "fig1")
-    assert (code, "no such item" in document["error"]) == (2, True)
-    code, document = reproduce("--budget", "huge")
-    assert (code, document["error"].startswith("--budget huge: there is no such budget")) == (2, True)

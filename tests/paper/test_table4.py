@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 
 from studies.paper import fig7
 from studies.paper.items import read_sizes, write_size
-from studies.paper.published import TABLE_4
-from studies.paper.table4 import SeedCalibration, SizeCalibrations, quartiles, shown
+from studies.paper.table4 import SeedCalibration, SizeCalibrations, shown
 from studies.report.wording import count, significant
 
 DOCUMENTATION = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
@@ -54,17 +52,6 @@ def test_what_could_not_be_simulated_is_infinite_and_null_in_the_file(tmp_path: 
     _, (size,) = read_sizes(tmp_path, SizeCalibrations)
     assert size == size_of(failed)
     assert row_of(*size.calibrations)["final MSE"] == np.inf
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 10])
-def test_the_median_is_the_one_of_numpy(n: int) -> None:
-    values = np.random.default_rng(n).random(n)
-    wanted = np.quantile(values, [0.25, 0.5, 0.75], method="averaged_inverted_cdf")
-    assert quartiles(values) == pytest.approx(wanted, rel=1e-15)
-
-
-def test_the_papers_own_table_adds_up_without_its_screening_check() -> None:
-    assert all(row.n_train + row.n_polish == row.total for row in TABLE_4.values())
 
 
 def test_the_committed_calibrations_are_what_the_documentation_says() -> None:

@@ -12,12 +12,10 @@ from rc_step_for_tests import PROCESSES, rc_step
 from scipy.optimize import check_grad
 
 from pelsvae import linear_vae
-from pelsvae.epochs import EpochReport
-from pelsvae.kernel import CONSTANT, Kernel
+from pelsvae.kernel import Kernel
 from pelsvae.kernel_loss import kernel_loss
-from pelsvae.kernel_search import ROWS
 from pelsvae.linear_vae import LinearVae
-from pelsvae.process_fitting import MANY_ROWS, MEMBER_ROWS
+from pelsvae.process_fitting import MANY_ROWS
 from pelsvae.surrogate_files import load_surrogate, save_surrogate
 from pelsvae.training import FitResult, fit
 
@@ -58,25 +56,6 @@ def test_gradient_of_the_loss_equals_finite_differences(n_scales: int, degree: i
     assert off < GRADIENT_TOL * np.linalg.norm(loss(hyper)[1])
 
 
-def test_covariances_are_the_sums_that_the_module_states() -> None:
-    random = np.random.default_rng(5)
-    kernel = Kernel(2, 3, 2)
-    mean, deviation = kernel.prior
-    hyper = mean + 0.5 * deviation * random.normal(size=mean.size)
-    x, others = random.normal(size=(3, 2)), random.normal(size=(4, 2))
-    lengths, weights = np.exp(hyper[:6].reshape(3, 2)), np.exp([0.0, *hyper[6:8]])
-    pairs = list(zip(weights, lengths, strict=True))
-    warp, (slope, bend) = hyper[8:10], np.exp(2.0 * hyper[10:12])
-    expected = np.empty((3, 4))
-    for i, j in np.ndindex(3, 4):
-        w, v = np.expm1(warp * x[i]) / warp, np.expm1(warp * others[j]) / warp
-        product = (w * v / lengths[0] ** 2).sum()
-        bumps = sum(b * np.exp(-0.5 * (((w - v) / length) ** 2).sum()) for b, length in pairs)
-        expected[i, j] = CONSTANT + slope * product + bend * product**2 + bumps
-    found = kernel.matrix(*(torch.from_numpy(values) for values in (hyper, x, others)))
-    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)
-
-
 @pytest.mark.parametrize(("degree", "at_once"), [(1, 7), (2, 256)])
 def test_the_mean_is_that_of_the_textbook(degree: int, at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(linear_vae, "_TRAINING_ROWS_AT_ONCE", at_once)
@@ -100,38 +79,10 @@ def test_the_mean_is_that_of_the_textbook(degree: int, at_once: int, monkeypatch
     assert (np.abs(surrogate.predict(fresh) - expected) <= INVERSE_TOL * scale).all()
 
 
-def test_what_is_linear_in_a_parameter_goes_on_beyond_the_box() -> None:
-    random = np.random.default_rng(0)
-    theta = random.uniform(1.0, 2.0, (20, 2))
-    y = np.stack([3.0 * theta[:, 0] + theta[:, 1], theta[:, 0]], axis=1)[:, :, None]
-    surrogate = fit(theta, y, (theta, y), config=PROCESSES.replace(theta_features="linear"), seed=0).surrogate
-    assert surrogate.predict([[3.0, 1.5]])[0, :, 0] == pytest.approx([10.5, 3.0], rel=1e-3)
-
-
 def test_same_seed_same_kernels_and_other_seed_others() -> None:
     first, again, other = (network_of(fitted(seed=seed)).hyper for seed in (0, 0, 1))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
-
-
-def test_members_are_averaged_while_rows_are_few() -> None:
-    few = len(network_of(fitted(n=40, max_epochs=1)).hyper)
-    assert 1 < len(network_of(fitted(n=400, max_epochs=1)).hyper) <= MEMBER_ROWS // 400 < few
-    assert few <= PROCESSES.n_members
-    assert len(network_of(fitted(n=40, max_epochs=1, n_members=2)).hyper) <= 2
-
-
-def test_reports_end_with_the_surrogate_itself() -> None:
-    reports: list[EpochReport] = []
-    theta, y = rc_step(2 * ROWS[0], seed=1)
-    result = fit(theta, y, rc_step(20, seed=2), config=PROCESSES, seed=0, on_epoch=reports.append)
-    epochs = [report.epoch for report in reports]
-    assert epochs == sorted(set(epochs))
-    assert (epochs[-1], result.best_epoch, result.n_epochs) == (PROCESSES.max_epochs,) * 3
-    theta, y = rc_step(20, seed=2)
-    assert reports[-1].validation_mae == pytest.approx(np.abs(result.surrogate.predict(theta) - y).mean())
-    # Rows that are added are known better than the first ones were.
-    assert reports[-1].train_loss < reports[0].train_loss
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
@@ -144,18 +95,3 @@ def test_cuda_fits_and_predicts_like_the_cpu(n: int, tmp_path: Path) -> None:
     save_surrogate(cuda, tmp_path)
     again = load_surrogate(tmp_path, device="cpu")
     assert again.predict(theta) == pytest.approx(cuda.predict(theta), rel=1e-6)
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_next_to_nothing_to_learn_from(n: int) -> None:
-    theta, y = rc_step(n, seed=1)
-    surrogate = fit(theta, y, rc_step(5, seed=2), config=PROCESSES, seed=0).surrogate
-    assert np.isfinite(surrogate.predict(rc_step(5, seed=3)[0])).all()
-    np.testing.assert_allclose(surrogate.predict(theta), y, rtol=1e-2)
-
-
-def test_trajectories_that_are_all_alike_are_learnt() -> None:
-    theta, y = rc_step(12, seed=1)
-    alike = np.broadcast_to(y[:1], y.shape)
-    surrogate = fit(theta, alike, (theta, alike), config=PROCESSES, seed=0).surrogate
-    np.testing.assert_array_equal(surrogate.predict(theta), alike)

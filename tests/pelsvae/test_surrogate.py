@@ -31,10 +31,13 @@ def test_prediction_has_physical_shape_and_precision(surrogate: Surrogate) -> No
     assert (predicted.shape, predicted.dtype) == (y.shape, np.float64)
     assert surrogate.predict(theta[:0]).shape == (0, 21, 2)
     np.testing.assert_array_equal(predicted, surrogate.predict(theta))
+    # Nor do the cores that share rows change a bit.
+    many, _ = rc_step(600, seed=4)
+    np.testing.assert_array_equal(surrogate.predict(many, n_jobs=3), surrogate.predict(many))
 
 
 @given(st.permutations(range(600)))
-@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_rows_are_independent_of_order_and_chunk(surrogate: Surrogate, order: list[int]) -> None:
     theta, _ = rc_step(600, seed=4)
     together = surrogate.predict(theta)
@@ -42,11 +45,6 @@ def test_rows_are_independent_of_order_and_chunk(surrogate: Surrogate, order: li
     assert (np.abs(surrogate.predict(theta[order]) - together[order]) <= FLOAT32_TOL * scale).all()
     alone = np.concatenate([surrogate.predict(theta[i : i + 1]) for i in order[:5]])
     assert (np.abs(alone - together[order[:5]]) <= FLOAT32_TOL * scale).all()
-
-
-def test_sharing_the_rows_among_cores_changes_no_bit(surrogate: Surrogate) -> None:
-    theta, _ = rc_step(600, seed=4)
-    np.testing.assert_array_equal(surrogate.predict(theta, n_jobs=3), surrogate.predict(theta))
 
 
 def test_nan_row_stays_a_nan_row(surrogate: Surrogate) -> None:
@@ -72,17 +70,13 @@ def test_loaded_surrogate_is_the_same_bit_for_bit(surrogate: Surrogate, tmp_path
     moved = (tmp_path / "a").rename(tmp_path / "b") / "n0032"
     loaded = load_surrogate(moved, device="cpu")
     assert sorted(file.name for file in moved.iterdir()) == ["surrogate.json", "weights.npz"]
+    with np.load(moved / "weights.npz", allow_pickle=False) as file:
+        assert all(file[name].dtype.kind in "fi" for name in file.files)
     assert loaded.config == surrogate.config
     np.testing.assert_array_equal(loaded.predict(theta), surrogate.predict(theta))
     save_surrogate(loaded, tmp_path / "c")
     for name in ("surrogate.json", "weights.npz"):
         assert (tmp_path / "c" / name).read_bytes() == (moved / name).read_bytes()
-
-
-def test_files_hold_no_pickle(surrogate: Surrogate, tmp_path: Path) -> None:
-    save_surrogate(surrogate, tmp_path)
-    with np.load(tmp_path / "weights.npz", allow_pickle=False) as file:
-        assert all(file[name].dtype.kind in "fi" for name in file.files)
 
 
 @pytest.mark.parametrize("missing", ["weights.npz", "surrogate.json"])

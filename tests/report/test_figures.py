@@ -2,8 +2,6 @@
 
 import csv
 import io
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,14 +21,12 @@ from records_for_tests import (
 
 from simulation.case import Case
 from simulation.measurement import Samples
-from simulation.time_unit import period_text
-from studies.report.drawing import Axis, Figure, Panel, Series, time_axis, with_gaps, write_png
+from studies.report.drawing import Figure, with_gaps, write_png
 from studies.report.figures_calibration import (
     band_figure,
     calibration_figure,
     calls_figure,
     interval_figure,
-    residual_reach,
     validation_figure,
 )
 from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
@@ -92,20 +88,6 @@ def test_the_validation_period_has_a_picture_of_its_own() -> None:
     assert validation_figure(case(), c) is None
 
 
-def test_importing_the_room_loads_no_drawing_library() -> None:
-    code = (
-        "import sys, studies.report.page;assert not {'vl_convert', 'matplotlib', 'jinja2'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-
-
-def test_a_failed_drawing_leaves_no_file(tmp_path: Path) -> None:
-    unknown = Panel("a", Axis("x"), Axis("y"), [Series("s", "#000000", [1.0], [1.0], mark="no such mark")])
-    with pytest.raises(ValueError, match="conversion failed"):
-        write_png(Figure("", (unknown,)), tmp_path / "x.png")
-    assert not list(tmp_path.iterdir())
-
-
 def without_improvement() -> Calibration:
     c = calibration()
     assert c.screening is not None
@@ -151,32 +133,9 @@ def test_calibrations_that_went_badly_are_drawn(make: Callable[[], Calibration],
     assert ink(calls_figure(replace(case(), references=()), c), tmp_path / "p.png") > 0.01
 
 
-def test_a_large_training_set_does_not_squeeze_the_polish() -> None:
-    (panel,) = calls_figure(case(), calibration(4096, n_polish=65)).panels
-    first, last = panel.x.scale["domain"]
-    assert 4096 - 65 < first < 4096 < 4096 + 65 < last
-
-
 def test_the_history_begins_where_the_polish_does() -> None:
     c = calibration()
     assert values(calls_figure(case(), c), "0.00642 K² polished", "x")[0] == c.history_calls[0]
-
-
-def test_a_residual_is_no_line_within_a_wide_band() -> None:
-    assert residual_reach(0.4, 0.5) == 1.25 * 0.5
-    assert residual_reach(2.0, 0.5) == 1.12 * 2.0
-    # A hundredth of the band: the axis is the residual's.
-    assert residual_reach(0.005, 0.5) == 1.12 * 0.005
-    assert residual_reach(0.0, 0.5) == 1.25 * 0.5
-    assert residual_reach(0.0, np.nan) == 1.0
-
-
-@pytest.mark.parametrize("n_outputs", [1, 2])
-def test_several_outputs_get_panels_of_their_own(n_outputs: int) -> None:
-    k = n_outputs
-    assert len(calibration_figure(case(k), calibration(n_outputs=k)).panels) == 2 * k
-    assert len(coverage_figure(case(k), coverage(8, n_outputs=k)).panels) == k
-    assert len(sensitivity_figure(sensitivity(6, n_outputs=k)).panels) == 2 * k
 
 
 def test_undeclared_uncertainty_draws_no_band() -> None:
@@ -206,34 +165,11 @@ def with_gap(whole: Case) -> Case:
     return replace(whole, measurement=replace(whole.measurement, samples=samples))
 
 
-def test_failed_rows_are_left_out_of_the_bands(tmp_path: Path) -> None:
-    some = coverage(16)
-    others = np.delete(some, 3, axis=0)[:, :, 0]
-    some[3] = np.nan
-    figure = coverage_figure(case(), some)
-    assert values(figure, "lowest to highest", "low") == pytest.approx(others.min(axis=0), rel=1e-6)
-    assert coverage_caption(case(), some).endswith(" 1 simulation failed.")
-    some[:] = np.nan
-    assert ink(coverage_figure(case(), some), tmp_path / "c.png") > 0.005
-
-
 @pytest.mark.parametrize(("p", "n_undefined"), [(14, 480), (14, 0), (2, 1), (1, 0), (7, 0)])
 def test_sensitivity_with_undefined_steps_or_few_parameters(p: int, n_undefined: int, tmp_path: Path) -> None:
     figure = sensitivity_figure(sensitivity(p, n_undefined=n_undefined))
     assert len(figure.panels[0].series) == min(p, 6)
     assert ink(figure, tmp_path / "s.png") > 0.01
-
-
-def test_trials_that_all_failed_or_one_size_alone_are_drawn(tmp_path: Path) -> None:
-    one = trials((64,), 3)
-    assert ink(mae_over_n_figure(one, unit="K"), tmp_path / "t.png") > 0.01
-    nothing = np.full(len(one.state), np.nan)
-    failed = replace(
-        one, state=("failed",) * len(one.state), validation_mae=nothing, test_mae=nothing, test_p90=nothing,
-        is_best=np.zeros(len(one.state), dtype=bool),
-    )  # fmt: skip
-    assert ink(mae_over_n_figure(failed, unit="K"), tmp_path / "t.png") > 0.005
-    assert ink(mae_over_n_figure(trials(()), unit="K"), tmp_path / "t.png") > 0.005
 
 
 def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
@@ -252,15 +188,3 @@ def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
     assert len(values(figure, "datum['y']")) == 2 * 480
     assert ink(figure, tmp_path / "s.png") > 0.02
     assert write_png(figure, tmp_path / "s.png", footnote="$\\bad{ 温 " * 60).stat().st_size > 10_000
-
-
-def test_two_cases_at_once_do_not_share_a_picture() -> None:
-    first, second = (calibration_figure(case(), calibration(n)).to_csv() for n in (32, 64))
-    assert first != second
-
-
-def test_a_late_period_has_the_unit_in_which_it_is_written() -> None:
-    axis, unit = time_axis(np.array([4.0, 5.0, 5.5]) * 3600.0)
-    assert unit.symbol in period_text((4.0 / 24.0, 5.5 / 24.0))
-    assert axis.label == "time [h]"
-    assert axis.scale["domain"] == [4.0, 5.5]

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -10,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from records_for_tests import (
     adaptive,
     calibration,
@@ -27,25 +24,20 @@ from records_for_tests import (
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.blocks import Table
-from studies.report.data import ReportData, best_of
-from studies.report.figures_model import enclosed_fraction
+from studies.report.data import ReportData
 from studies.report.page import write_page
-from studies.report.sentences import calibration_sentences, headline
+from studies.report.sentences import calibration_sentences
 from studies.report.tables import (
     calibrations_table,
     intervals_table,
     parameters_table,
-    sensitivity_table,
-    tuning_table,
 )
 from studies.report.wording import (
     count,
     declared,
     difference_unit,
-    digits_between,
     listed,
     percent,
-    setting,
     significant,
     squared,
 )
@@ -146,12 +138,6 @@ def test_page_puts_the_note_and_the_numbers_first(full: Path) -> None:
     assert "studies calibrate office --n-train 64" in text
 
 
-def test_building_again_gives_the_same_page_and_no_other_file(tmp_path: Path) -> None:
-    first, second = (build(small(), tmp_path / name) for name in ("first", "second"))
-    assert first.read_bytes() == second.read_bytes()
-    assert [file.name for file in first.parent.iterdir()] == ["index.html"]
-
-
 def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
     whole, c = case(), calibration(64)
     first, *others = parameter_box().parameters
@@ -215,16 +201,6 @@ def test_calibrations_table_holds_the_numbers() -> None:
         assert {title: column(table, title)[k] for title in expected} == expected
 
 
-def test_what_is_unknown_is_a_dash() -> None:
-    c = calibration(64)
-    assert c.screening is not None
-    c = replace(c, screening=replace(c.screening, mse=math.inf, errors={}))
-    far = replace(case(), references=(KnownError("far", 1e-9, is_target=True),))
-    table = calibrations_table(far, report_data(c).calibrations)
-    assert column(table, "MSE screened") == ["∞"]
-    assert column(table, "test MAE") == column(table, "calls to 1e-09") == ["–"]
-
-
 def test_parameters_table_flags_the_bounds() -> None:
     c, whole = calibration(64), case()
     box = whole.parameter_space
@@ -241,50 +217,6 @@ def test_parameters_table_flags_the_bounds() -> None:
         near = np.where(box.is_log, box.lower * (box.upper / box.lower) ** share, linear)
         at = replace(c, theta=dict(zip(box.names, near.tolist(), strict=True)))
         assert column(parameters_table(whole, at), "") == [said] * 14
-
-
-def test_an_estimate_that_is_not_declared_is_left_out() -> None:
-    box = ParameterSpace(tuple(replace(one, estimate=None) for one in parameter_box().parameters))
-    table = parameters_table(replace(case(), parameter_space=box), calibration(64))
-    assert column(table, "estimate") == ["–"] * 14
-
-
-def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
-    data, indices = report_data(), sensitivity()
-    tuning, sobol = tuning_table(data.tuned), sensitivity_table(indices)
-    assert tuning is not None
-    all_trials = data.trials
-    assert all_trials is not None
-    assert column(tuning, "n_train") == [f"{n:,}" for n in sorted({*all_trials.n_train.tolist()})]
-    best = np.flatnonzero(all_trials.is_best)
-    assert column(tuning, "MAE") == [significant(value) for value in all_trials.test_mae[best]]
-    assert column(tuning, "P90") == [significant(value) for value in all_trials.test_p90[best]]
-    assert column(tuning, "n_latent") == [f"{one.params['n_latent']:,}" for one in data.tuned]
-    assert column(tuning, "PCA+GP MAE") == [significant(one.baseline["test/mae"]) for one in data.tuned]
-    assert set(column(tuning, "PCA+GP P90")) == {"–"}
-    assert column(tuning, "gain")[0] == "–"
-    firsts = list(map(float, column(sobol, "first order")))
-    assert firsts == sorted(firsts, reverse=True)
-    assert firsts[0] == pytest.approx(np.nanmean(indices.first_order[:, 0], axis=0).max(), abs=5e-4)
-    assert tuning_table(()) is None
-
-
-def test_headline_is_the_lowest_error() -> None:
-    low, high = replace(calibration(256), mse=0.0104), replace(calibration(32), mse=0.0121)
-    best = best_of(report_data(high, low).calibrations)
-    assert best is not None
-    assert best.result is low
-    equal = replace(high, mse=0.0104)
-    best = best_of(report_data(low, equal).calibrations)
-    assert best is not None
-    assert best.result is equal
-
-
-def test_the_result_is_one_sentence_with_the_numbers_of_the_data() -> None:
-    best = best_of(report_data().calibrations)
-    assert best is not None
-    ended = "it ended because the cost changes by less than ftol"
-    assert headline(case(), best) == f"MSE 0.006422 K² after 189 model calls (32 s); {ended}"
 
 
 def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> None:
@@ -304,37 +236,6 @@ def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> 
     text = checked(page).text
     assert "How sure the adaptive calibration is" in text
     assert {"90 % bands of the outputs", "Intervals of the parameters between their bounds"} <= {*text}
-
-
-def test_enclosed_fraction_counts_measured_values() -> None:
-    measurement = case(n_steps=4).measurement
-    values = measurement.y
-    y = np.stack([values - 1, values + 1])
-    y[:, 0] = values[0] + 5
-    assert enclosed_fraction(measurement, y) == 0.75
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.01132, "0.0113"), (1.0623, "1.06"), (4297, "4,297"), (0, "0"), (math.nan, "–"), (math.inf, "∞"),
-     (-math.inf, "−∞"), (2e-7, "2.00e-07"), (-0.5, "-0.500")],
-)  # fmt: skip
-def test_numbers_are_written_for_readers(value: float, text: str) -> None:
-    assert significant(value) == text
-
-
-def test_settings_lose_no_zero_that_counts() -> None:
-    values = (100.0, 2000.0, 0.5, 3e-05, 128, True, "log", None)
-    assert [setting(value) for value in values] == [
-        "100", "2,000", "0.5", "3.00e-05", "128", "True", "log", "–",
-    ]  # fmt: skip
-
-
-@given(st.floats(1e-4, 1e6), st.integers(2, 6))
-def test_significant_digits_are_kept(value: float, digits: int) -> None:
-    assert float(significant(value, digits).replace(",", "")) == pytest.approx(
-        value, rel=0.51 * 10.0 ** (1 - digits)
-    )
 
 
 def test_words_and_units() -> None:
@@ -376,24 +277,3 @@ def test_the_page_says_what_became_of_state_equations_and_what_is_left_open(tmp_
     assert said[2].startswith("The data do not determine 1 of 14 parameters")
     text = " ".join(checked(build(small(found), tmp_path)).text)
     assert all(f"{line}." in text for line in said)
-
-
-def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> None:
-    data = small(adaptive(), calibration(64))
-    best = best_of(data.calibrations)
-    assert best is not None
-    assert best.result.is_adaptive
-    page = checked(build(data, tmp_path))
-    assert "calibration" in page.ids
-    table = calibrations_table(data.case, data.calibrations)
-    assert column(table, "method") == ["adaptive", "paper"]
-    assert column(table, "calls, paper's count") == ["71", "189"]
-    assert column(table, "MSE screened")[0] == "–"
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "digits"),
-    [(0.2, 5.0, 3), (285.6, 285.7, 5), (1.0, 1.0, 3), (-1e-9, 1.0, 3), (1e5, 1.2e5, 3)],
-)
-def test_ends_of_an_interval_differ(low: float, high: float, digits: int) -> None:
-    assert digits_between(low, high) == digits

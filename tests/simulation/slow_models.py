@@ -12,7 +12,6 @@ from toy_rc import ToyRC
 
 from simulation import InputError, Trajectories
 from simulation.file_lock import FileLock
-from simulation.fmi.runner import NeedsFreshProcess
 
 BAD_ABOVE_R = 4.0
 
@@ -88,47 +87,6 @@ class RaisingToy(SlowToy):
 
     def misbehave(self, theta: np.ndarray) -> None:
         raise self.error("R is\ntoo large")
-
-
-@dataclass(frozen=True, eq=False)
-class LeakingToy(SlowToy):
-    """Takes 20 MB with every row and never gives them back."""
-
-    row_s: float = 0.01
-    kept: list[np.ndarray] = field(default_factory=list)
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        self.kept.extend(np.ones(2_500_000) for _ in theta)
-        return super().simulate(theta)
-
-
-@dataclass(frozen=True, eq=False)
-class WarmingToy(SlowToy):
-    """Takes long over its first row in a process, like a model that compiles something."""
-
-    row_s: float = 0.0
-    used: list[bool] = field(default_factory=list)
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        if not self.used:
-            time.sleep(0.6)
-            self.used.append(True)
-        return super().simulate(theta)
-
-
-@dataclass(frozen=True, eq=False)
-class OncePerProcessToy(SlowToy):
-    """Answers one row, and then only in another process."""
-
-    row_s: float = 0.0
-    used: list[bool] = field(default_factory=list)
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        answer = super().simulate(theta)
-        if self.used:
-            raise NeedsFreshProcess("once is enough")
-        self.used.append(True)
-        return answer
 
 
 @dataclass(frozen=True, eq=False)

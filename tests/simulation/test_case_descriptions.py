@@ -76,14 +76,6 @@ def test_the_fmu_s_display_units_are_units(decay_case: Path):
     assert y[0, 0, 0] == pytest.approx((300.0 - 273.15) * 0.8, abs=1e-9)
 
 
-def test_any_unit_is_taken_where_the_fmu_has_none(decay_case: Path):
-    describe(decay_case, (b'<Real unit="K"/>', b"<Real/>"))
-    edit(decay_case, ('{ first_measured = "y" }', "300.0"))
-    case = load_case(decay_case)
-    assert case.outputs[0].unit == "degC"
-    assert case.settings.output_offsets.tolist() == [0.0]
-
-
 @pytest.mark.parametrize(
     ("line", "value"),
     [
@@ -101,18 +93,3 @@ def test_what_is_no_number_can_be_fixed(decay_case: Path, line: str, value: obje
     assert case.fixed[name] == value
     assert type(case.fixed[name]) is type(value)
     assert case.model_digest != before.model_digest
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("on = 1", r"fixed\.on = 1: on is of type Boolean; give true or false"),
-        ("kind = 3", r"fixed\.kind = 3: kind has no such item; choose one of: plain, wrapped"),
-    ],
-)
-def test_a_wrong_fixed_value_of_another_kind_is_one_line(decay_case: Path, line: str, message: str):
-    describe(decay_case, (b"</ModelVariables>", OTHERS), (b"<ModelVariables>", TYPES))
-    edit(decay_case, ("[fixed]", f"[fixed]\n{line}"))
-    with pytest.raises(InputError, match=message) as caught:
-        load_case(decay_case)
-    assert "\n" not in str(caught.value)

@@ -9,7 +9,6 @@ import pytest
 from case_for_tests import edit
 
 from simulation import InputError, load_case
-from simulation.recording import read_recording
 
 DAY = 86400
 
@@ -71,14 +70,6 @@ def test_a_german_export_is_read(decay_case: Path):
     after = load_case(decay_case)
     assert after.digest == before.digest
     assert after.measurement.digest == before.measurement.digest
-
-
-def test_cells_may_be_missing_behind_the_last_column_in_use_only(tmp_path: Path):
-    file = tmp_path / "room.csv"
-    file.write_text("time_s,T,Q,note\n0,20,1,dry\n600,21,2\n1200,22\n1800,23,4,wet\n\n")
-    np.testing.assert_array_equal(read_recording(file, ["T"]).columns["T"], [20, 21, 22, 23])
-    with pytest.raises(InputError, match=r"room\.csv: line 4 has 2 of the 3 cells up to column Q; "):
-        read_recording(file, ["Q", "T"])
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
@@ -153,62 +144,3 @@ def test_what_a_clock_change_makes_of_a_clock_is_reported(decay_case: Path):
     stamped(decay_case, [*shifted[:5], *shifted[4:-1]])
     with pytest.raises(InputError, match=r"repeats the line above .* sort the rows and drop duplicates$"):
         load_case(decay_case)
-
-
-@pytest.mark.parametrize(("unit", "length_s"), [("s", 1), ("min", 60), ("h", 3600), ("d", 86400)])
-def test_times_may_count_other_units_than_seconds(tmp_path: Path, unit: str, length_s: int):
-    file = tmp_path / "room.csv"
-    for name in (f"Zeit [{unit}]", f"Zeit ({unit})"):
-        file.write_text(f"{name};T\n0,5;20\n1,5;21\n2,5;22\n", encoding="utf-8")
-        found = read_recording(file, ["T"], time_column=name)
-        np.testing.assert_allclose(found.time, np.array([0.5, 1.5, 2.5]) * length_s)
-        assert found.clock == "seconds"
-
-
-def test_a_time_column_of_another_name(decay_case: Path):
-    before = load_case(decay_case)
-    path = decay_case / "data" / "recording.csv"
-    path.write_text(path.read_text().replace("time_s", "Zeit [s]"))
-    with pytest.raises(
-        InputError, match=r"no column time_s or time is there; found Zeit \[s\], T_degC, heating"
-    ):
-        load_case(decay_case)
-    edit(decay_case, ("schema = 1", 'schema = 1\ntime_column = "Zeit [s]"'))
-    assert load_case(decay_case).digest == before.digest
-
-
-def test_the_first_measured_value_is_the_nearest_to_the_start(decay_case: Path):
-    own_file(decay_case, [f"{t},{20 + t / 1e5}" for t in range(0, DAY, 1000)])
-    # 21600 s lies between 21000 and 22000 s.
-    assert load_case(decay_case).fixed["x0"] == pytest.approx(20.22 + 273.15, abs=1e-12)
-
-
-GOOD = [(START + timedelta(minutes=30 * i)).strftime("%Y-%m-%d %H:%M") for i in range(49)]
-
-
-def test_a_wrong_timestamp_is_one_line(decay_case: Path):
-    stamped(decay_case, [*GOOD[:5], "21/02/2018 02:30", *GOOD[6:]])
-    with pytest.raises(InputError, match=r"line 7, column time: '21/02/2018 02:30' is no timestamp; write"):
-        load_case(decay_case)
-    stamped(decay_case, [*GOOD[:5], GOOD[5] + "Z", *GOOD[6:]])
-    with pytest.raises(InputError, match=r"line 7, column time: 2018-02-21 02:30Z is not written like the"):
-        load_case(decay_case)
-
-
-def test_files_with_different_clocks_are_refused(decay_case: Path):
-    own_file(decay_case, [f"{stamp},20" for stamp in GOOD], header="time,T_degC")
-    with pytest.raises(
-        InputError, match=r"recording\.csv counts seconds and .*room\.csv has timestamps without"
-    ):
-        load_case(decay_case)
-
-
-def test_a_start_without_a_measured_value_needs_a_number(decay_case: Path):
-    times = [t for t in range(0, DAY, 1800) if not 18000 <= t <= 27000]
-    own_file(decay_case, [f"{t},20" for t in times])
-    with pytest.raises(
-        InputError, match=r"fixed\.x0: .* has no value of T_degC near the start, 21600 s; give a"
-    ):
-        load_case(decay_case)
-    edit(decay_case, ('{ first_measured = "y" }', "{ value = 20.0, unit = 'degC' }"))
-    assert load_case(decay_case).fixed["x0"] == pytest.approx(293.15)

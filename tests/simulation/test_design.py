@@ -26,12 +26,6 @@ def test_a_spread_design_keeps_its_distance_from_the_middle(spread: float, seed:
     assert (distance[:, 1:] <= spread + 1e-12).all()
 
 
-def test_parameters_left_out_of_the_spread_fill_their_bounds():
-    rows = spread_design(SPACE, 4000, 0.1, 1, columns=["R"])
-    assert np.ptp(rows[:, 1]) > 0.99 * np.ptp([SPACE.lower[1], SPACE.upper[1]])
-    assert np.ptp(rows[:, 0]) < 0.11 * np.ptp([SPACE.lower[0], SPACE.upper[0]])
-
-
 def test_the_draw_is_uniform_in_physical_units_also_where_the_scale_is_logarithmic():
     # Kolmogorov-Smirnov distance; 1.63 / sqrt(n) is the 1 % point.
     n = 4000

@@ -16,12 +16,6 @@ def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return build(tmp_path_factory.mktemp("exchange"), request.param, n_states=2)
 
 
-@pytest.fixture(scope="module", params=["2.0", "3.0"])
-def discrete(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Neither states nor event indicators."""
-    return build(tmp_path_factory.mktemp("discrete"), request.param, n_states=0, n_indicators=0)
-
-
 def bounces(time: Any, restitution: float, slowest: float) -> tuple[Any, Any]:
     """Height and number of bounces of a ball dropped from 1 m, flight by flight."""
     g, height, count = 9.81, np.zeros(len(time)), np.zeros(len(time))
@@ -134,23 +128,6 @@ def test_inputs_of_every_type_hold_over_their_step_and_a_local_variable_is_read(
     for value in driven:
         x0.append(x0[-1] * np.exp(-0.6) + value * (1.0 - np.exp(-0.6)) / 0.3)
     np.testing.assert_allclose(answer.y[0, :, 0], x0, rtol=1e-8, atol=2e-6)
-
-
-def test_only_changes_of_inputs_are_events(fmu: Path):
-    u = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0])
-    answer = run(fmu, "PULSED", a=0.1, edges=np.arange(9.0), u=u)
-    # Once more by the event that ends the initialization; n is read before the event at its edge.
-    np.testing.assert_array_equal(answer.y[0, :, 1], [1, 1, 1, 1, 2, 2, 3, 3, 3])
-
-
-def test_a_model_without_states_samples_its_input(discrete: Path):
-    u = np.arange(20.0)
-    answer = run(discrete, "SAMPLED", a=2.5, edges=np.arange(21.0), u=u)
-    assert answer.failures == ("",)
-    # Sampled at 2.5, 5, 7.5, ...: at 5 the step from 4 to 5 ends, and its input still holds.
-    last = np.floor(np.arange(21) / 2.5) * 2.5
-    expected = np.where(last > 0, np.ceil(last) - 1, 0.0)
-    np.testing.assert_array_equal(answer.y[0, :, 0], expected)
 
 
 @pytest.mark.parametrize(

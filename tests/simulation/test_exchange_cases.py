@@ -9,10 +9,6 @@ import pytest
 from simulation import load_case
 from simulation.case import Case
 from simulation.fmi.fmu import FmuSettings
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.learned_ode import LearnedODE
-from studies.calibration.problem import CalibrationProblem
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -77,12 +73,3 @@ def test_an_output_that_an_input_feeds_through_to_lags_no_half_step(tmp_path: Pa
     # What moves sees the steps' inputs either way.
     np.testing.assert_array_equal(good[:, 0], late[:, 0])
     assert coarse.model_digest != dataclasses.replace(coarse, scenario=lagging.scenario).model_digest
-
-
-def test_state_equations_know_which_inputs_the_outputs_saw(tmp_path: Path):
-    case = wall_in_model_exchange(tmp_path, 600.0)
-    with watching_states(case).open_model() as model:
-        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
-        found = Adaptive(max_calls=20).minimize(problem, seed=0, learned_ode=LearnedODE.of(problem))
-    assert found.converged
-    assert found.n_calls <= 6

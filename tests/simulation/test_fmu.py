@@ -96,14 +96,6 @@ def test_three_hundred_rows_leave_no_memory_behind(decay_case: Path):
     assert sizes[-1] - sizes[1] < 2**18
 
 
-def test_a_closed_model_says_so_and_closes_twice(decay_case: Path):
-    model = load_case(decay_case).open_model()
-    model.close()
-    model.close()
-    with pytest.raises(ValueError, match="closed"):
-        model.simulate(np.array([[1e-4, 0.0]]))
-
-
 def test_nothing_is_left_after_close_or_when_forgotten_or_when_loading_fails(decay_case: Path):
     before = _unpacked()
     case = load_case(decay_case)
@@ -117,12 +109,6 @@ def test_nothing_is_left_after_close_or_when_forgotten_or_when_loading_fails(dec
     with pytest.raises(InputError, match="did you mean y"):
         missing.open()
     assert _unpacked() == before
-
-
-def test_the_working_directory_stays(decay_case: Path):
-    before = Path.cwd()
-    load_case(decay_case).open_model().close()
-    assert Path.cwd() == before
 
 
 def test_the_loop_compiles_where_nothing_can_be_cached(decay_case: Path, tmp_path: Path):

@@ -1,18 +1,13 @@
 """FMUs of both versions with parameters of every type: set as meant, or refused in one line."""
 
-import dataclasses
 import re
 import shutil
 import tempfile
-import zipfile
 from pathlib import Path
 
 import kinds_fmu
 import numpy as np
 import pytest
-
-from simulation import InputError
-from simulation.fmi.description import read_description
 
 FIXED = {"n": 3, "b": True, "c": "high", "s": "four"}
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
@@ -55,31 +50,6 @@ def test_a_structural_parameter_is_set_in_its_own_mode(fmu_3: Path):
         y = model.simulate(ROWS).y[:, :, 0]
     expected = [kinds_fmu.closed_form(settings, *row) + 5 for row in ROWS]
     np.testing.assert_allclose(y, expected, rtol=1e-13)
-
-
-def test_an_inverse_display_unit_is_none_of_the_units_that_a_factor_converts(tmp_path: Path):
-    """A period in seconds is the inverse of a rate in 1/s."""
-    text = kinds_fmu.DESCRIPTION_3.format(once="false")
-    shown = '<DisplayUnit name="period" inverse="true"/><DisplayUnit name="1/min" factor="60"/></Unit>'
-    path = tmp_path / "kinds3.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text.replace("</Unit>", shown))
-        archive.writestr("binaries/x86_64-linux/kinds.so", "")
-    units = read_description(path).units
-    assert units["1/s"].displayed == {"1/min": (60.0, 0.0)}
-
-
-def test_only_reals_are_calibrated_and_arrays_are_not(fmu_3: Path):
-    space = kinds_fmu.kinds_settings(fmu_3).parameter_space
-    for name, message in (
-        ("n", r"n is of type Int8; only Float64 or Float32 variables can be used, hold it under \[fixed\]"),
-        ("many", r"many is an array \(2\)"),
-    ):
-        parameters = (dataclasses.replace(space.parameters[0], name=name), space.parameters[1])
-        changed = dataclasses.replace(space, parameters=parameters)
-        settings = dataclasses.replace(kinds_fmu.kinds_settings(fmu_3), parameter_space=changed)
-        with pytest.raises(InputError, match=message):
-            settings.open()
 
 
 @pytest.mark.parametrize(

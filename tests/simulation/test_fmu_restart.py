@@ -65,14 +65,3 @@ def test_nothing_is_called_after_a_fatal_status(tmp_path: Path, fmi: int, again:
         with pytest.raises(NeedsFreshProcess, match=f"after fmi{fmi}Fatal"):
             model.simulate(ROWS)
     assert ctypes.c_int.in_dll(library, "n_calls_after_fatal").value == 0
-
-
-@pytest.mark.parametrize("again", ["HONEST", "KEEPS_STATE", "REFUSES"])
-def test_what_one_row_complains_of_is_no_reason_of_another(tmp_path: Path, fmi: int, again: str):
-    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again=again)
-    settings = kinds_fmu.kinds_settings(fmu)
-    with settings.open() as model:
-        model.simulate(ROWS)
-        # The first logs an error and is good, the second is bad and logs nothing.
-        answer = model.simulate(np.array([[1e-4, 399.0], [1e-4, 398.0]]))
-    assert answer.failures == ("", f"fmi{fmi}DoStep returned fmi{fmi}Discard at 30000 s")

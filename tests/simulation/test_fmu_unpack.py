@@ -3,15 +3,13 @@
 import os
 import stat
 import tempfile
-import time
 import zipfile
 from pathlib import Path
 
 import pytest
 
 from simulation import InputError
-from simulation.fmi.unpack import SCRATCH_PREFIX, unpacked
-from simulation.scratch import UNSEEN_S, sweep
+from simulation.fmi.unpack import unpacked
 
 
 @pytest.fixture(autouse=True)
@@ -76,12 +74,3 @@ def test_a_link_is_refused_where_it_would_be_used(fmu: Path, folder: Path, name:
     with pytest.raises(InputError, match="which is a link; pack the file itself"):
         unpacked(fmu)
     assert not list(folder.iterdir())
-
-
-def test_a_folder_whose_owner_was_killed_while_making_it_goes_later(folder: Path):
-    made, left = folder / f".{SCRATCH_PREFIX}new", folder / f".{SCRATCH_PREFIX}old"
-    for one in (made, left):
-        one.mkdir()
-    os.utime(left, (0.0, time.time() - 2.0 * UNSEEN_S))
-    sweep(SCRATCH_PREFIX)
-    assert list(folder.iterdir()) == [made]

@@ -61,10 +61,6 @@ def huge(path: Path) -> None:
         file.truncate(3_000_000_000)
 
 
-def endless(path: Path) -> None:
-    path.symlink_to("/proc/self/pagemap")  # a regular file without a size
-
-
 @pytest.fixture(autouse=True)
 def quick_and_small() -> Iterator[None]:
     tracemalloc.start()
@@ -90,12 +86,6 @@ def test_what_is_no_file_of_its_kind_is_refused_before_it_is_read(
     if make is huge:
         assert f"{LIMITS_VARIABLE}=" in str(found.value)
         assert "3,000 MB" in str(found.value)
-
-
-def test_a_file_that_says_it_is_empty_is_read_to_its_limit(tmp_path: Path) -> None:
-    endless(tmp_path / "file")
-    with pytest.raises(InputError, match="may have 1 MB and this one has more MB"):
-        read_limited(tmp_path / "file", CASE)
 
 
 def test_a_limit_is_raised_as_the_line_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

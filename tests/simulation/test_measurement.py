@@ -47,18 +47,6 @@ def test_between_output_times_the_simulated_line_is_compared():
     assert measurement.y[[0, 5], 0].tolist() == [5.0, 5.0]
 
 
-def test_a_gap_has_no_residual():
-    y = _rows(1, 2)[0]
-    y[1:4, 0] = np.nan
-    rows = _rows(3, 2)
-    measurement = _grid(y)
-    assert measurement.n_samples == 9
-    assert np.isfinite(measurement.compared(rows)).all()
-    changed = rows.copy()
-    changed[:, 1:4, 0] += 100.0
-    np.testing.assert_array_equal(measurement.compared(rows), measurement.compared(changed))
-
-
 def test_the_mse_is_the_formula():
     rng = np.random.default_rng(0)
     sigma, weights = np.array([0.5, 40.0, 2.0]), np.array([1.0, 3.0, 0.5])
@@ -73,23 +61,6 @@ def test_the_mse_is_the_formula():
         )
     assert measurement.mse(row)[0] == pytest.approx(expected, rel=1e-12)
     assert np.mean(measurement.compared(row) ** 2) == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_sample_that_rounding_moved_off_its_output_time_is_on_it():
-    third = np.arange(7) * 0.1
-    y = _rows(1, 1)[0, :, 0]
-    measurement = Measurement(
-        third[:6], (Samples(np.cumsum(np.full(6, 0.1)) - 0.1, y),), ("y",), SIGMA, np.ones(1)
-    )
-    np.testing.assert_array_equal(measurement.y[:, 0], y)
-
-
-def test_a_failed_row_is_infinitely_wrong():
-    rows = _rows(2, 1)
-    rows[0] = np.nan
-    mse = _grid(_rows(1, 1)[0]).mse(rows)
-    assert mse[0] == np.inf
-    assert np.isfinite(mse[1])
 
 
 def test_the_digest_sees_values_times_weights_and_names():
@@ -169,15 +140,3 @@ def test_a_loss_leaves_small_differences_as_they_are_and_can_be_undone(kind: Los
         assert shrunk[0] == size
     assert shrunk[0] <= size
     np.testing.assert_allclose(loss.grown(shrunk), d, rtol=1e-12)
-
-
-def test_no_loss_is_squares_bit_for_bit_with_the_same_digest():
-    plain, rows = _grid(_rows(1, 2)[0]), _rows(3, 2)
-    squares = replace(plain, losses=(None, None))
-    np.testing.assert_array_equal(squares.compared(rows), plain.compared(rows))
-    assert squares.digest == plain.digest
-    scaled = replace(plain, losses=(None, RobustLoss("huber", 1.0)))
-    assert (
-        len({scaled.digest, replace(plain, losses=(None, RobustLoss("huber", 2.0))).digest, plain.digest})
-        == 3
-    )

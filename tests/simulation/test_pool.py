@@ -1,12 +1,10 @@
 """What models do to their processes costs exactly the row that did it, and all numbers stay the same."""
 
-import math
 import os
 import re
 import signal
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +12,9 @@ import psutil
 import pytest
 from toy_rc import ToyRC
 
-from simulation import InputError, PoolModel, load_case
+from simulation import InputError, PoolModel
 from simulation.errors import MachineError
-from simulation.pool.execution import FIRST_LIMIT_S, ExecutionPolicy, TooManyFailuresError
+from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
 
 # Workers import the models by name, from this folder.
@@ -27,13 +25,10 @@ from slow_models import (
     DyingAtOpeningToy,
     ExitingToy,
     HangingToy,
-    LeakingToy,
     OnceCrashingToy,
-    OncePerProcessToy,
     PickyToy,
     RaisingToy,
     SlowToy,
-    WarmingToy,
     count_begun,
 )
 
@@ -57,29 +52,11 @@ def test_slow_rows_get_all_workers_and_bring_the_same_bits():
     assert answer.digest == ToyRC().simulate(rows).digest
 
 
-@pytest.mark.parametrize(("toy", "numbers"), [(SlowToy(row_s=0.0), (1, 15, 200)), (WarmingToy(), (30,))])
-def test_little_work_and_a_slow_first_row_get_one_worker(toy: SlowToy, numbers: tuple[int, ...]):
-    with PoolModel(toy.open, 4) as model:
-        for n in numbers:
+def test_little_work_gets_one_worker():
+    with PoolModel(SlowToy(row_s=0.0).open, 4) as model:
+        for n in (1, 15, 200):
             model.simulate(_rows(n))
         assert model.n_processes == 1
-
-
-def test_batches_of_all_sizes_do_not_touch_each_other():
-    with PoolModel(ToyRC, 2) as model:
-        answers = [(n, model.simulate(_rows(n))) for n in (3, 70, 1, 10_000, 2)]
-    for n, answer in answers:
-        assert answer.digest == ToyRC().simulate(_rows(n)).digest
-
-
-def test_chunks_come_as_they_finish_and_each_row_once():
-    rows, seen = _rows(300, 20), []
-    with PoolModel(RaisingToy(row_s=0.001).open, 2) as model:
-        for numbers, answer in model.as_finished(rows):
-            seen += numbers.tolist()
-            assert np.array_equal(answer.theta, rows[numbers])
-            assert answer.failed.tolist() == (rows[numbers, 0] > BAD_ABOVE_R).tolist()
-    assert sorted(seen) == list(range(300))
 
 
 def test_what_cannot_work_is_refused():
@@ -133,27 +110,6 @@ def test_retries_are_the_policy_s(tmp_path: Path):
         assert {n for row, n in counts.items() if row not in bad} == {1}
 
 
-def test_a_process_that_grows_is_replaced_before_it_harms():
-    rows = _rows(32)
-    seen = set()
-    policy = ExecutionPolicy(max_growth_mb=200.0)
-    with PoolModel(LeakingToy().open, 1, policy=policy) as model:
-        for start in range(0, 32, 4):
-            answer = model.simulate(rows[start : start + 4])
-            assert answer.digest == ToyRC().simulate(rows[start : start + 4]).digest
-            for process in psutil.Process().children(recursive=True):
-                seen.add(process.pid)
-                # 200 MB, the rows that crossed them, and what Python itself needs.
-                assert process.memory_info().rss < 450e6
-    assert len(seen) >= 32 * 20 / 240
-
-
-def test_processes_are_replaced_as_often_as_a_model_wants():
-    rows = _rows(10)
-    with PoolModel(OncePerProcessToy().open, 2) as model:
-        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
-
-
 def test_a_batch_that_mostly_fails_stops_and_says_why(tmp_path: Path):
     rows = np.full((500, 2), [4.5, 1e4])
     rows[::3, 0] = 1.0
@@ -190,20 +146,6 @@ def test_a_model_that_cannot_be_opened_is_an_error_of_the_user(toy: SlowToy, lin
         model.simulate(_rows(3))
 
 
-def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
-    warnings: list[str] = []
-    rows = _rows(200)
-    policy = ExecutionPolicy(timeout_s=1.5)
-    with PoolModel(HangingToy(row_s=0.001).open, 1, policy=policy, on_warning=warnings.append) as model:
-        model.simulate(rows)
-        monkeypatch.setattr("simulation.pool.pool_model._SLOW_S", 0.5)
-        rows[100, 0] = 4.5
-        model.simulate(rows)
-    (warning,) = warnings
-    assert "has been running for 0." in warning
-    assert warning.endswith("simulation.timeout_s is 1.5")
-
-
 def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
     rows = _rows(20, 1)
     rows[0, 0] = 1.0  # nothing is stopped before a row has finished
@@ -217,18 +159,6 @@ def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
         assert re.match(
             r"did not answer within .* s and was stopped \(no \[simulation\] timeout_s is", reason
         )
-
-
-def test_a_row_may_take_as_long_as_it_likes_where_the_time_out_is_infinite():
-    assert ExecutionPolicy(timeout_s=math.inf).limit_s(1e-3) == math.inf
-    assert ExecutionPolicy().limit_s(None) == FIRST_LIMIT_S
-    assert "86400 s" in ExecutionPolicy().why_stopped(None)
-    assert "it is stopped after 300 s, 100 times the slowest" in ExecutionPolicy().limit_in_words(3.0)
-    assert ExecutionPolicy().limit_s(3.0) == 300.0
-    assert ExecutionPolicy().limit_s(1e-3) == 60.0
-    policy = ExecutionPolicy(timeout_s=math.inf, least_limit_s=0.01)
-    with PoolModel(SlowToy(row_s=0.4).open, 1, policy=policy) as model:
-        assert not model.simulate(_rows(3, 0)).failed.any()
 
 
 def test_a_forgotten_model_leaves_no_process():
@@ -246,38 +176,6 @@ def test_a_forgotten_model_leaves_no_process():
         assert set(psutil.Process().children()) - before == {server}
     end_fork_servers()
     assert not set(psutil.Process().children(recursive=True)) - before
-
-
-def test_each_model_begins_paths_and_temporary_files_in_its_own_folders(
-    decay_case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    case, rows = load_case(decay_case), np.array([[1e-4, 0.0]])
-    settings = replace(case.settings, path=Path("decay.fmu"))
-    with case.open_model() as model:
-        expected = model.simulate(rows).digest
-    for name in ("first", "second"):
-        home = tmp_path / name
-        home.mkdir()
-        (home / "decay.fmu").write_bytes((decay_case / "decay.fmu").read_bytes())
-        monkeypatch.chdir(home)
-        with PoolModel(settings.open, 1) as model:
-            assert model.simulate(rows).digest == expected
-        # Whoever had begun in the first folder could not open it there again.
-        (home / "decay.fmu").unlink()
-
-
-def test_code_of_the_user_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    model_file = tmp_path / "model_of_the_user.py"
-    # Of another size: Python takes a file of the same second and size for the same file.
-    for ambient in (10.0, 120.0):
-        text = f"from toy_rc import ToyRC\ndef opened():\n    return ToyRC(ambient={ambient})\n"
-        model_file.write_text(text)
-        sys.modules.pop("model_of_the_user", None)
-        from model_of_the_user import opened  # type: ignore[import-not-found]
-
-        with PoolModel(opened, 1) as model:
-            assert model.simulate(_rows(3)).y[0, 0, 0] == ambient
 
 
 NO_ROOM = """

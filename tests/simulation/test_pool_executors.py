@@ -1,11 +1,11 @@
 """Any executor gives the same bits; a cluster that sees none of our files and loses a worker, too."""
 
+import json
 import multiprocessing
 import os
 import shutil
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from project_for_tests import make_project
 from toy_rc import ToyRC
 
 from simulation import InputError, PoolModel, load_case
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
+from studies.cli import main
 
 sys.path.insert(0, str(Path(__file__).parent))
 from slow_models import BAD_ABOVE_R, CrashingToy, HangingToy, PickyToy, RaisingToy, SlowToy
@@ -68,25 +70,11 @@ def test_errors_of_the_user_come_through(executor: Executor):
         PoolModel(RaisingToy().open, 2, executor=executor).simulate(_rows(40, 35))
 
 
-def test_a_chunk_whose_process_is_lost_is_simulated_again():
-    def supervisors() -> list[psutil.Process]:
-        return [each for child in psutil.Process().children() for each in child.children()]
-
-    rows, warnings, of_others = _rows(40), [], supervisors()
-    with ThreadPoolExecutor(2) as executor:
-        model = PoolModel(SlowToy(row_s=0.05).open, 2, executor=executor, on_warning=warnings.append)
-        model.simulate(rows[:4])
-        mine = [one for one in supervisors() if one not in of_others]
-        threading.Timer(0.3, mine[0].kill).start()
-        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
-    assert "simulated again" in warnings[0]
-
-
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=3,
+        n_workers=2,
         threads_per_worker=1,
         processes=True,
         dashboard_address=":0",  # any free port: another test may have a cluster
@@ -130,3 +118,19 @@ def test_the_fmu_travels_by_its_content(cluster: Any, decay_case: Path):
         shutil.move(case.fmu.path, case.fmu.path.with_suffix(".away"))
         assert model.simulate(rows).digest == expected.digest
         assert model.simulate(rows[::-1]).digest == expected.take(np.arange(30)[::-1]).digest
+
+
+def test_a_command_simulates_on_a_cluster(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    root = make_project(tmp_path / "project")
+    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    digests = []
+    for more in ((), ("--dask", cluster.scheduler_address)):
+        capsys.readouterr()
+        assert main(["simulate", "--profile", "smoke", "--json", *more]) == 0
+        (stage,) = json.loads(capsys.readouterr().out)["stages"]
+        assert stage["n_reused"] == 0
+        digests.append(stage["digests"])
+        shutil.rmtree(root / "data" / "office" / "generated")
+    assert digests[0] == digests[1]

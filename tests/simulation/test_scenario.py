@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 
-from simulation.scenario import covers, values_at_edges, values_over_steps
+from simulation.scenario import covers, values_over_steps
 
 TIME = np.arange(9) * 1800.0
 VALUES = np.array([0.0, 1.0, 1.0, 4.0, 3.0, 3.5, -2.0, 0.0, 1.0])
@@ -21,34 +21,6 @@ def test_a_held_value_is_the_last_sample_when_the_step_starts():
     edges = _edges(1800, 600, 9)
     held = values_over_steps(TIME, VALUES, edges, interpolation="held")
     assert held.tolist() == [1, 1, 1, 1, 1, 1, 4, 4, 4]
-
-
-def test_held_values_do_not_slip_by_the_rounding_of_sums():
-    step = 0.1
-    time = np.cumsum(np.full(1000, step)) - step
-    edges = step * np.arange(1000)
-    held = values_over_steps(time, np.arange(1000.0), edges, interpolation="held")
-    assert held.tolist() == list(range(999))
-
-
-def test_a_linear_mean_is_the_trapezoid():
-    # Steps of 2400 s straddle samples: pieces between all breaks, by hand.
-    edges = _edges(0, 2400, 6)
-    fine = np.arange(0, 14400 + 1, 600.0)
-    line = np.interp(fine, TIME, VALUES)
-    trapezoids = ((line[1:] + line[:-1]) / 2).reshape(6, 4).mean(axis=1)
-    linear = values_over_steps(TIME, VALUES, edges, interpolation="linear")
-    np.testing.assert_allclose(linear, trapezoids, rtol=1e-13, atol=1e-13)
-
-
-def test_the_value_at_an_edge_is_the_series_or_what_was_held_until_then():
-    edges = _edges(1800, 600, 9)
-    held = values_at_edges(TIME, VALUES, edges, interpolation="held")
-    assert held.tolist() == [1, 1, 1, 1, 1, 1, 1, 4, 4, 4]
-    linear = values_at_edges(TIME, VALUES, edges, interpolation="linear")
-    np.testing.assert_allclose(linear, np.interp(edges, TIME, VALUES), rtol=1e-13)
-    smooth = values_at_edges(TIME, VALUES, edges, interpolation="smooth")
-    np.testing.assert_allclose(smooth, PchipInterpolator(TIME, VALUES)(edges), rtol=1e-13)
 
 
 def test_a_smooth_mean_is_the_quadrature_of_pchip():

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from toy_rc import ToyRC
 
-import simulation
 from simulation import CountingModel
 from simulation.counting import BudgetExceeded
 from simulation.errors import MachineError
@@ -117,25 +116,3 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one_and_nothing_beside_it
     with pytest.raises(TypeError, match="bytes-like"), whole_file(path) as file:
         file.writelines([b"half", 2])  # type: ignore[list-item]
     assert [(one, one.read_bytes()) for one in tmp_path.iterdir()] == [(path, b"old")]
-
-
-def test_a_link_in_the_place_of_a_scratch_folder_is_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    mine = tmp_path / "mine"
-    for folder in (mine, tmp_path / "tmp"):
-        folder.mkdir()
-    (tmp_path / "tmp" / "test-scratch-x").symlink_to(mine)
-    ScratchFolder("test-scratch-").remove()
-    assert not list(mine.iterdir())
-
-
-def test_what_is_public_is_a_dozen_names_that_are_there_and_explained():
-    assert len(simulation.__all__) <= 12
-    for name in simulation.__all__:
-        assert callable(getattr(simulation, name))
-        assert f"`{name}`" in str(simulation.__doc__)
-    with pytest.raises(AttributeError, match="module 'simulation' has no attribute 'nothing'"):
-        _ = simulation.nothing  # type: ignore[attr-defined]

@@ -238,16 +238,6 @@ def test_three_processes_make_write_and_read_one_store(file: Path) -> None:
     assert sorted(one.name for one in file.parent.iterdir()) == [".making", "toy.db"]
 
 
-def test_known_and_new_rows_may_be_mixed_and_repeated(store: SimulationStore) -> None:
-    counting = CountingModel(TOY)
-    model = StoredModel(counting, store)
-    model.simulate(design(40)[::2])
-    order = np.random.default_rng(0).integers(40, size=100)
-    assert model.simulate(design(40)[order]).digest == ANSWER.take(order).digest
-    assert counting.n_calls == model.n_simulated == len(set(order.tolist()) | set(range(0, 40, 2)))
-    assert model.n_simulated + model.n_reused == 120
-
-
 class Licensed(CountingModel):
     """The toy, every row of which fails while there is no licence."""
 

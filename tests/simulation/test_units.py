@@ -7,22 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulation import InputError
-from simulation.units import Conversion, Unit, UnitDefinition, conversion, in_si
+from simulation.units import Conversion, Unit, UnitDefinition, conversion
 
 KELVIN = Unit.of({"K": 1}, 1.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        ("degC", "°C"),
-        ("m3/s", "m^3/s"),
-        ("W/(m2.K)", "W/(m2.degC)"),
-        ("J", "N.m"),
-    ],
-)
-def test_spellings_of_one_unit_are_the_same(first: str, second: str | None):
-    assert conversion(first, second, "here") == Conversion(1.0, 0.0)
 
 
 # Values of the international system's brochure and of the units' definitions.
@@ -77,11 +64,6 @@ def test_other_units_contradict(first: str, second: str, said: str):
     assert "\n" not in str(caught.value)
 
 
-def test_a_difference_of_temperatures_has_no_offset():
-    assert conversion("degC", "K", "here", is_difference=True) == Conversion(1.0, 0.0)
-    assert conversion("degF", "K", "here", is_difference=True).factor == pytest.approx(5 / 9)
-
-
 def test_the_fmu_s_own_units_go_first():
     definitions = {
         "rack": UnitDefinition(base=Unit.of({"kg": 1, "m": 2, "s": -3}, 2500.0, 0.0)),
@@ -105,23 +87,3 @@ def test_an_fmu_whose_unit_is_not_what_its_name_says_is_not_believed():
     # Leaving out the angle is common and harmless.
     no_angle = {"rpm": UnitDefinition(base=Unit.of({"s": -1}, 0.10471975511965977, 0.0))}
     assert conversion("rpm", "rpm", "here", definitions=no_angle) == Conversion()
-
-
-@pytest.mark.parametrize(
-    ("unit", "name", "shown"),
-    [
-        ("K", "degC", (1.0, 273.15)),
-        ("W", "kW", (1e3, 0.0)),
-    ],
-)
-def test_a_display_unit_that_is_not_what_its_name_says_is_not_believed(
-    unit: str, name: str, shown: tuple[float, float]
-):
-    for base in (in_si(unit), None):
-        definitions = {unit: UnitDefinition(base=base, displayed={name: shown})}
-        with pytest.raises(
-            InputError, match=rf'here: the FMU defines "{name}", a display unit .*in "{unit}"'
-        ):
-            conversion(name, unit, "here", definitions=definitions)
-    # What a unit of the FMU's own means, is not known.
-    assert conversion("own", unit, "here", definitions={unit: UnitDefinition(displayed={"own": shown})})

@@ -3,11 +3,9 @@
 import csv
 import json
 import shutil
-from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import mlflow
 import numpy as np
 import pytest
 from mlflow_store_for_tests import give_store
@@ -16,7 +14,6 @@ from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.other_inputs import settings_with_inputs
 from studies.cli import main
-from studies.paths import find_project
 from studies.stages.pipeline import read_outcome
 from studies.stages.stage_results import Calibration, Uncertainty
 
@@ -81,21 +78,6 @@ def test_its_own_inputs_give_calibration_and_bands_again(
     assert table_of(again).keys() == table.keys()
 
 
-def test_a_run_of_mlflow_has_table_and_picture(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    stage = predicted(capsys, "--inputs", str(INPUTS))
-    mlflow.set_tracking_uri(find_project(None).tracking_uri)
-    (run,) = mlflow.search_runs(
-        search_all_experiments=True, filter_string="tags.role = 'prediction'", output_format="list"
-    )
-    files = {one.path for one in mlflow.artifacts.list_artifacts(run_id=run.info.run_id)}
-    inside = {Path(file).name for file in files}
-    assert Path(stage["table"]).name in inside
-    figures = [
-        one.path for one in mlflow.artifacts.list_artifacts(run_id=run.info.run_id, artifact_path="figures")
-    ]
-    assert [Path(one).name for one in figures] == ["predict-adaptive-inputs.png"]
-
-
 def test_other_inputs_give_other_outputs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = INPUTS.read_text("utf-8").splitlines()
     warmer = [f"{t},{room},{float(out) + 5.0}" for t, room, out in (one.split(",") for one in lines[1:97])]
@@ -112,21 +94,6 @@ def test_without_an_uncertainty_there_are_no_bands(here: Path, capsys: pytest.Ca
     assert list(table_of(predicted(capsys, "--inputs", str(INPUTS)))) == ["time_s", "TMasonry", "QRoom"]
     assert main(["predict", "wall", "--inputs", str(INPUTS)]) == 0
     assert "No bands: type studies uncertainty wall, then this command again" in capsys.readouterr().out
-
-
-def test_times_may_be_timestamps_and_files_may_stand_in_a_folder(tmp_path: Path) -> None:
-    case = load_case(ROOT / "fmus" / "wall")
-    header, *lines = INPUTS.read_text("utf-8").splitlines()
-    begin = datetime(2026, 1, 1)
-    rows = (line.partition(",") for line in lines)
-    stamped = [f"{(begin + timedelta(seconds=float(t))).isoformat()},{rest}" for t, _, rest in rows]
-    text = "\n".join([header.replace("time_s", "time"), *stamped]) + "\n"
-    (tmp_path / "inputs.csv").write_text(text, encoding="utf-8")
-    first, second = (settings_with_inputs(case, one).scenario for one in (INPUTS, tmp_path))
-    np.testing.assert_array_equal(first.time_communication, second.time_communication)
-    np.testing.assert_array_equal(first.inputs, second.inputs)
-    n_steps = len(case.scenario.inputs)
-    np.testing.assert_array_equal(first.inputs[:n_steps], case.scenario.inputs)
 
 
 @pytest.mark.parametrize(

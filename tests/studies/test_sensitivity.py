@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from SALib.analyze import sobol as salib_analyze
 from SALib.sample import sobol as salib_sample
-from toy_rc import ToyRC
 from toys_for_tests import IshigamiToy
 
 from simulation.arrays import BoolArray, FloatArray
@@ -72,14 +71,6 @@ def test_ishigamis_exact_indices_at_every_step() -> None:
         np.testing.assert_allclose(indices.total_order[step, 0], total, atol=0.02)
 
 
-def test_the_g_functions_exact_indices() -> None:
-    first, total = GFunction().exact()
-    indices = sobol_indices(GFunction(), n_base=4096, seed=0)
-    np.testing.assert_allclose(indices.first_order[1, 0], first, atol=0.02)
-    np.testing.assert_allclose(indices.total_order[1, 0], total, atol=0.02)
-    assert indices.order(0) == (0, 1, 2, 3)
-
-
 def test_what_does_not_vary_is_undefined_and_nothing_else() -> None:
     indices = sobol_indices(GFunction(), n_base=64, seed=0)
     np.testing.assert_array_equal(undefined(indices), [[True, True], [False, True]])
@@ -121,19 +112,3 @@ def test_a_failed_row_costs_its_block_not_the_analysis() -> None:
     assert 0 < holed.n_dropped < 20
     assert holed.n_calls == whole.n_calls == 1024 * 6
     np.testing.assert_allclose(holed.first_order[1, 0], whole.first_order[1, 0], atol=0.03)
-
-
-def test_when_everything_fails_everything_is_undefined() -> None:
-    indices = sobol_indices(GFunction(fails_above=-1.0), n_base=16, seed=0)
-    assert indices.n_dropped == 16
-    assert undefined(indices).all()
-    assert np.isnan(indices.variance).all()
-    assert sorted(indices.order()) == [0, 1, 2, 3]
-
-
-def test_the_initial_value_of_a_step_response_is_undefined() -> None:
-    indices = sobol_indices(ToyRC(), n_base=128, seed=0)
-    assert undefined(indices)[0, 0]
-    assert not undefined(indices)[1:].any()
-    # The temperature goes to q R: the resistance's share grows, the capacity's fades.
-    assert (np.diff(indices.total_order[1:, 0], axis=0) * np.array([1.0, -1.0]) > 0.0).all()

@@ -5,20 +5,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from toys_for_tests import ProductToy
 
 from simulation.counting import CountingModel
 from simulation.errors import InputError
-from simulation.forward_model import WrappedModel
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
-from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
+from studies.uncertainty.bands import bands_of, share_within
 from studies.uncertainty.findings import compensations, knowledge
 from studies.uncertainty.identifiability import difference_rows, judged
 from studies.uncertainty.noise import noise_of
@@ -127,32 +124,6 @@ def test_a_emulator_that_is_right_leaves_the_model_the_sample_alone():
     assert judged_with(product(), max_calls=30).n_calls == 30 - 6
 
 
-def test_what_a_emulator_samples_is_its_density_to_the_ends_of_a_valley():
-    """A product's factors along all of their valley, against a grid: no surrogate of it is in between."""
-    space = ParameterSpace(tuple(Parameter(n, lower=0.2, upper=5.0, scale="log") for n in "ab"))
-    model = Formula(space, lambda theta, t: theta[0] * theta[1] * t)
-    theta = np.array([2.5, 0.5])
-    problem = posed(model, theta)
-    noise = noise_of("sensor", problem.measurement, model.simulate(theta[None]).y[0], 2)
-    found = assess(
-        problem, theta, model.simulate(theta[None]).y[0], noise=noise, known=None,
-        sampling=sampling_within(60, 2), seed=0, emulator=model,
-    )  # fmt: skip
-    assert found.by_equations
-    # All that counts is the product, which the box lets lie at more places the nearer it is to 1.
-    axis = (np.arange(2000) + 0.5) / 2000
-    a = space.from_unit(np.column_stack([axis, axis]))[:, 0]
-    measured = problem.measurement.y[:, 0]
-    product = np.multiply.outer(a, a)
-    squares = measured @ measured - 2.0 * product * (TIME @ measured) + product**2 * (TIME @ TIME)
-    density = np.exp(-0.5 * (squares - squares.min()) / SIGMA**2)
-    mass = np.cumsum(density.sum(axis=1)) / density.sum()
-    exact = np.interp([0.05, 0.5, 0.95], mass, axis)
-    # Six hundred points know the end of a 90 % interval to 1 %, its middle to 2 %.
-    assert found.interval[:, 0] == pytest.approx(exact, abs=0.04)
-    assert found.sample.n_effective > 0.99 * Sampling.n_sample
-
-
 def test_a_emulator_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + (theta[2] + 0.3) * t**2)
     found, alone = judged_with(bent), judged_with(None)
@@ -160,55 +131,6 @@ def test_a_emulator_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     assert found.n_differences == 6
     assert found.sample.n_taught >= Sampling.n_batch
     assert found.interval == pytest.approx(alone.interval, abs=0.06)
-
-
-@pytest.mark.parametrize("sigma", [1e-6, 1e-8, 1e-10])
-def test_a_emulator_may_leave_a_direction_open_beside_the_narrowest_one(sigma: float) -> None:
-    """A product of two parameters, a third one without effect: singular but for the box."""
-    model = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + 0.0 * theta[2])
-    problem, theta = posed(model, [1.5, 0.7, 1.2], sigma=sigma, uncertainty=sigma), np.array([1.5, 0.7, 1.2])
-    y = problem.model.simulate(theta[None]).y[0]
-    noise = noise_of("sensor", problem.measurement, y, 3)
-    found = assess(
-        problem, theta, y, noise=noise, known=None,
-        sampling=sampling_within(60, 3), seed=0, emulator=model,
-    )  # fmt: skip
-    u = found.sample.particles
-    assert found.by_equations
-    # Of the open parameter a twentieth lies beyond either end, as of an even density: few came so far.
-    assert found.interval[[0, 2], 2] == pytest.approx([0.05, 0.95], abs=0.1)
-    known = np.log(np.prod(problem.space.from_unit(u)[:, :2], axis=1) / (1.5 * 0.7))
-    # At 1e-10 the last digits of the sums count, which differ from machine to machine.
-    rel = 0.3 if sigma > 1e-10 else 0.5
-    assert np.std(known) == pytest.approx(sigma / np.sqrt(TIME @ TIME) / (1.5 * 0.7), rel=rel)
-
-
-def test_a_sample_is_as_narrow_as_its_density():
-    sigma = 1e-6
-    problem = posed(line(), [0.3, -0.4], sigma=sigma, uncertainty=sigma)
-    best, _ = least_squares(problem)
-    found = assessed(problem, best, kind="sensor").sample
-    excess = (found.drawn.mse - problem.mse(problem.space.to_unit(best))[0]) * TIME.size / sigma**2
-    # Chi square of two parameters; 48 members know its mean to 15 %. Rounding to 1e-5 made it 1e4.
-    assert found.weights @ excess == pytest.approx(2.0, rel=0.5)
-
-
-def test_a_prior_enters_as_it_is():
-    """A linear model and a normal prior: the posterior is normal, its precision the sum of both."""
-    problem = posed(line(), [0.3, -0.4])
-    best, design = least_squares(problem)
-    width = np.array([np.inf, 0.005])
-    centre = np.array([np.nan, problem.space.to_unit(best)[1] + 0.01])
-    weight = SIGMA**2 / len(TIME)
-    problem = replace(problem, prior=Prior(centre, width, weight, len(TIME)))
-    found = assessed(problem, best, kind="sensor")
-    # The box is 4 wide: theta = 4 u - 2.
-    of_data, of_prior = 16.0 * design.T @ design / SIGMA**2, np.diag(width**-2.0)
-    covariance = np.linalg.inv(of_data + of_prior)
-    mean = problem.space.to_unit(best) + covariance @ of_prior @ np.array([0.0, 0.01])
-    u, deviation = found.sample.particles, np.sqrt(np.diag(covariance))
-    assert (u.mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
-    assert np.cov(u.T) == pytest.approx(covariance, rel=0.15)
 
 
 def test_a_product_is_known_and_its_factors_are_not():
@@ -238,16 +160,6 @@ def test_a_product_is_known_and_its_factors_are_not():
     assert found.n_calls <= 100
 
 
-def test_the_same_seed_asks_the_same_rows_and_stored_rows_are_not_asked():
-    problem = posed(line(), [0.3, -0.4])
-    best, _ = least_squares(problem)
-    counter = CountingModel(problem.model)
-    first = assessed(problem, best, n_particles=200)
-    again = assessed(problem.on(counter), best, n_particles=200)
-    assert np.array_equal(first.sample.drawn.theta, again.sample.drawn.theta)
-    assert counter.n_calls == again.n_calls + 1  # the point itself, asked by the test
-
-
 def test_ninety_percent_intervals_hold_the_truth_nine_times_in_ten():
     rng = np.random.default_rng(5)
     n, held = 300, np.zeros(2)
@@ -265,19 +177,7 @@ def test_ninety_percent_intervals_hold_the_truth_nine_times_in_ten():
     assert held / n == pytest.approx(0.9, abs=0.05)
 
 
-def test_noise_that_follows_itself_widens_intervals():
-    problem = posed(line(), [0.3, -0.4])
-    slow = np.cumsum(np.random.default_rng(0).standard_normal(60)) * 0.02
-    measurement = Measurement.on_grid(TIME, problem.measurement.y + slow[:, None], ("y",), np.array([0.05]))
-    y = line().simulate(np.array([[0.3, -0.4]])).y[0]
-    white, correlated = (noise_of(kind, measurement, y, 2) for kind in ("white", "correlated"))
-    assert white.n_independent == 60
-    assert correlated.n_independent < 30
-    assert correlated.deviation >= white.deviation
-    assert correlated.raised > 1.4 * white.raised
-
-
-@pytest.mark.parametrize(("rho", "n_fitted"), [(0.0, 14), (0.5, 14), (0.9, 7), (0.9, 14)])
+@pytest.mark.parametrize(("rho", "n_fitted"), [(0.0, 14), (0.9, 7)])
 def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
     m, rng = 481, np.random.default_rng(5)
     basis = np.cos(np.pi * np.outer(np.arange(n_fitted), np.arange(m) + 0.5) / m)
@@ -301,7 +201,7 @@ def test_a_perfect_fit_shows_no_noise():
     assert noise_of("sensor", problem.measurement, y, 2).deviation == SIGMA
 
 
-@pytest.mark.parametrize("rate", [0.0, 3.0, 30.0])
+@pytest.mark.parametrize("rate", [0.0, 30.0])
 def test_many_open_parameters_are_filled_evenly(rate):
     """exp(-rate sum u) of twelve parameters, which may lie at their bounds, beside two known sums."""
 
@@ -319,19 +219,6 @@ def test_many_open_parameters_are_filled_evenly(rate):
     # The shares are those of a sum that leaves either parameter anywhere.
     assert np.quantile(found[:, 0], [0.05, 0.5, 0.95]) == pytest.approx([0.05, 0.5, 0.95], abs=0.06)
     assert np.quantile(found[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([0.03, 0.3, 0.57], abs=0.06)
-
-
-def test_particles_fill_a_hyperbola():
-    """a b = 0.2 and five narrow coordinates: a is even in its logarithm from 0.2 to 1."""
-
-    def log_density(u):
-        product = ((u[:, 0] * u[:, 1] - 0.2) / 0.01) ** 2
-        return -0.5 * product - 0.5 * np.sum(((u[:, 2:] - 0.6) / 0.02) ** 2, axis=1)
-
-    found = sample_density(log_density, Reference.even(7), seed=0, n_particles=2000)
-    shares = np.quantile(np.log(found[:, 0] / 0.2) / np.log(5.0), [0.05, 0.25, 0.5, 0.75, 0.95])
-    assert shares == pytest.approx([0.05, 0.25, 0.5, 0.75, 0.95], abs=0.05)
-    assert found[:, 2:].std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
 @pytest.mark.parametrize("narrow", [0.01, 0.03])
@@ -370,53 +257,9 @@ def test_the_predictive_band_holds_the_measured_values():
     assert share_within(measurement, bands.predictive, 0) == pytest.approx(0.9, abs=0.04)
 
 
-@pytest.mark.parametrize("kind", ["sensor", "white", "correlated"])
-def test_a_value_is_as_uncertain_as_its_sensor_however_often_it_is_read_and_weighted(kind):
-    rng = np.random.default_rng(3)
-    time, uncertainty = np.arange(2400.0), np.array([0.5, 100.0])
-    measured = uncertainty * rng.standard_normal((len(time), 2))
-    measured[rng.permutation(len(time))[60:], 1] = np.nan
-    measurement = Measurement.on_grid(time, measured, ("T", "Q"), uncertainty, np.array([1.0, 3.0]))
-    noise = noise_of(kind, measurement, np.zeros((len(time), 2)), 2)
-    assert noise_of_outputs(noise, measurement) == pytest.approx(uncertainty, rel=0.15)
-
-
 def test_too_few_calls_are_refused_in_one_line():
     with pytest.raises(InputError, match=r"--max-calls 20 does not hold 28 differences .* give 44 or more"):
         sampling_within(20, 14)
-
-
-def test_what_was_known_before_is_no_merit_of_the_data():
-    space = ParameterSpace(tuple(Parameter(name, lower=0.0, upper=1.0) for name in "abcd"))
-    width = np.array([0.02, 0.02, 0.02, np.inf])
-    prior = Prior(np.array([0.5, 0.5, 0.0, np.nan]), width, 1.0, 1)
-    rng = np.random.default_rng(0)
-    u = 0.5 + np.array([0.02, 0.004, 0.02, 0.02]) * rng.standard_normal((4000, 4))
-    u[:, 2] = np.abs(u[:, 2] - 0.5)
-    assert knowledge(space, u, prior) == {"a": "prior", "b": "determined", "c": "prior", "d": "determined"}
-
-
-def around(model, theta):
-    """What the residuals around a point determine."""
-    problem = posed(model, theta)
-    answer = problem.evaluate(difference_rows(problem.space.to_unit(np.array(theta)), 0.01))
-    return judged(model.parameter_space.names, answer, SIGMA, 0.01)
-
-
-def test_a_parameter_that_fails_on_one_side_is_judged_by_the_other():
-    whole = line()
-    cut = replace(whole, f=lambda theta, t: np.where(theta[0] > 0.31, np.nan, theta[0] + theta[1] * t))
-    assert around(cut, [0.3, -0.4]).spread == pytest.approx(around(whole, [0.3, -0.4]).spread)
-    assert around(cut, [0.3, -0.4]).null_directions == ()
-
-
-def test_a_parameter_that_fails_on_both_sides_is_not_said_to_change_nothing():
-    cut = replace(
-        line(), f=lambda theta, t: np.where(abs(theta[0] - 0.3) < 1e-6, theta[0] + theta[1] * t, np.nan)
-    )
-    found = around(cut, [0.3, -0.4])
-    assert found.is_unknown.tolist() == [True, False]
-    assert found.null_directions == ()
 
 
 def test_where_simulations_fail_few_are_asked():
@@ -429,31 +272,19 @@ def test_where_simulations_fail_few_are_asked():
     assert failed.mean() < 0.6
 
 
-def test_a_narrow_valley_is_followed_to_its_ends():
-    """R and C of a decay that shows their product alone: R may be anywhere in its range."""
-    model, held = ProductToy(time=np.arange(0.0, 25 * 3600.0, 600.0)), []
-    for seed in (1, 2, 3, 4):
-        problem = posed(model, [1.0, 1e4], seed=seed)
-        rows = CountsRows(problem.model)
-        best = Adaptive(max_calls=100, misfit_threshold=(2.0 * SIGMA) ** 2).minimize(
-            problem.on(rows), seed=seed
-        )
-        known = problem.evaluate(problem.space.to_unit(np.concatenate(rows.asked)))
-        noise = noise_of("correlated", problem.measurement, best.y, 2)
-        sampling = sampling_within(100, 2)
-        found = assess(problem, best.theta, best.y, noise=noise, known=known, sampling=sampling, seed=seed)
-        held.append(np.ptp(found.interval[[0, 2], 0]))
-    # 0.9 of it, if every part is found; without asking farther 0.53 (seed by seed 0.38 to 0.88).
-    assert np.mean(held) > 0.7
-
-
-class CountsRows(WrappedModel):
-    """A model that notes what it is asked."""
-
-    def __init__(self, model):
-        super().__init__(model)
-        self.asked = []
-
-    def simulate(self, theta):
-        self.asked.append(theta)
-        return self._model.simulate(theta)
+def test_a_prior_enters_as_it_is():
+    """A linear model and a normal prior: the posterior is normal, its precision the sum of both."""
+    problem = posed(line(), [0.3, -0.4])
+    best, design = least_squares(problem)
+    width = np.array([np.inf, 0.005])
+    centre = np.array([np.nan, problem.space.to_unit(best)[1] + 0.01])
+    weight = SIGMA**2 / len(TIME)
+    problem = replace(problem, prior=Prior(centre, width, weight, len(TIME)))
+    found = assessed(problem, best, kind="sensor")
+    # The box is 4 wide: theta = 4 u - 2.
+    of_data, of_prior = 16.0 * design.T @ design / SIGMA**2, np.diag(width**-2.0)
+    covariance = np.linalg.inv(of_data + of_prior)
+    mean = problem.space.to_unit(best) + covariance @ of_prior @ np.array([0.0, 0.01])
+    u, deviation = found.sample.particles, np.sqrt(np.diag(covariance))
+    assert (u.mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
+    assert np.cov(u.T) == pytest.approx(covariance, rel=0.15)

@@ -9,7 +9,7 @@ import pytest
 
 from simulation.case import Case, load_case
 from simulation.counting import CountingModel
-from studies.stages.validate import validate, validation_inputs
+from studies.stages.validate import validate
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -31,18 +31,6 @@ def office(folder: Path, time: str) -> Path:
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
     return load_case(office(tmp_path_factory.mktemp("validated"), "validation_d = [10, 12]"))
-
-
-def test_an_edited_estimate_is_validated_anew(tmp_path: Path) -> None:
-    file = office(tmp_path, "validation_d = [10, 12]")
-    before = load_case(file)
-    file.write_text(file.read_text().replace("estimate = 0.7", "estimate = 0.6", 1))
-    after = load_case(file)
-    assert after.digest == before.digest
-    assert validation_inputs(after) != validation_inputs(before)
-    # Without one of them, none is simulated.
-    file.write_text(file.read_text().replace("estimate = 0.6", "", 1))
-    assert "estimates" not in validation_inputs(load_case(file))
 
 
 def test_points_are_compared_on_both_periods(case: Case) -> None:

@@ -1,8 +1,8 @@
 """A model whose states are watched answers as one whose states are not, and shares what it answered."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,25 +21,19 @@ from studies.calibration.states import StateSignals
 from studies.watched_model import StoredWatchedModel
 
 TOY = ToyRC(fails_above_r=4.0)
+WALL = load_case(Path(__file__).parents[2] / "fmus" / "wall")
 SIGNALS = StateSignals(
-    states=("s",),
-    derivatives=("der(s)",),
-    inputs=(),
-    units=("",),
-    depends_on=(None,),
-    driven=np.zeros((len(TOY.time) - 1, 0)),
-    step_s=1.0,
-    every=1,
-    n_before=0,
-    outputs=TOY.output_names,
-    conversions=np.tile([1.0, 0.0], (len(TOY.output_names), 1)),
-)
+    states=("s",), derivatives=("der(s)",), inputs=(), units=("",), depends_on=(None,),
+    driven=np.zeros((len(TOY.time) - 1, 0)), step_s=1.0, every=1, n_before=0, outputs=TOY.output_names,
+    conversions=np.array([[1.0, 0.0]]),
+)  # fmt: skip
+Open = Callable[[bool], tuple[StoredWatchedModel, CountingModel, CountingModel]]
 
 
 class ShowsStates(WrappedModel):
     """The toy, a state and its derivative beside its outputs; or all rows fail where states are read."""
 
-    def __init__(self, *, can_be_read: bool) -> None:
+    def __init__(self, can_be_read: bool) -> None:
         super().__init__(TOY)
         self._can_be_read = can_be_read
 
@@ -51,53 +45,30 @@ class ShowsStates(WrappedModel):
         answer = TOY.simulate(theta)
         states = np.tile(answer.theta[:, None, :1], (1, len(TOY.time), 2))
         failures = answer.failures if self._can_be_read else ("no such variable",) * answer.n
-        return Trajectories.checked(
-            answer.theta,
-            np.concatenate([answer.y, states], axis=-1),
-            time=TOY.time,
-            parameter_names=answer.parameter_names,
-            output_names=self.output_names,
-            failures=failures,
-        )
-
-
-@dataclass
-class Opened:
-    """A watched model in a folder, and how often the two models under it were asked."""
-
-    model: StoredWatchedModel
-    plain: CountingModel
-    watched: CountingModel
-
-
-@dataclass
-class Opens:
-    """Opens it, again and again."""
-
-    folder: Path
-    stack: ExitStack = field(default_factory=ExitStack)
-
-    def stored(self, model: ForwardModel, name: str) -> StoredModel:
-        store = SimulationStore(
-            self.folder / name,
-            model_digest=name,
-            parameter_names=TOY.parameter_space.names,
-            output_names=model.output_names,
-            time=TOY.time,
-        )
-        return StoredModel(model, self.stack.enter_context(store))
-
-    def __call__(self, *, can_be_read: bool = True) -> Opened:
-        plain, watched = CountingModel(TOY), CountingModel(ShowsStates(can_be_read=can_be_read))
-        model = StoredWatchedModel(self.stored(plain, "plain"), self.stored(watched, "watched"), SIGNALS)
-        return Opened(model, plain, watched)
+        y = np.concatenate([answer.y, states], axis=-1)
+        y[[bool(one) for one in failures]] = np.nan
+        return replace(answer, y=y, output_names=self.output_names, failures=failures)
 
 
 @pytest.fixture
-def opens(tmp_path: Path) -> Iterator[Opens]:
-    opens = Opens(tmp_path)
-    with opens.stack:
-        yield opens
+def opened(tmp_path: Path) -> Iterator[Open]:
+    """Open the watched model again and again, with counters of the plain and the watched one under it."""
+    with ExitStack() as stack:
+
+        def stored(model: ForwardModel, name: str) -> StoredModel:
+            names = {"parameter_names": TOY.parameter_space.names, "output_names": model.output_names}
+            store = SimulationStore(tmp_path / name, model_digest=name, time=TOY.time, **names)
+            return StoredModel(model, stack.enter_context(store))
+
+        def open_it(can_be_read: bool) -> tuple[StoredWatchedModel, CountingModel, CountingModel]:
+            plain, watched = CountingModel(TOY), CountingModel(ShowsStates(can_be_read))
+            return (
+                StoredWatchedModel(stored(plain, "plain"), stored(watched, "watched"), SIGNALS),
+                plain,
+                watched,
+            )
+
+        yield open_it
 
 
 def rows(n: int, *, fail: bool = False) -> FloatArray:
@@ -105,41 +76,36 @@ def rows(n: int, *, fail: bool = False) -> FloatArray:
     return theta[TOY.simulate(theta).failed == fail][:n]
 
 
-def test_what_it_answers_is_everybodys_and_asked_once(opens: Opens) -> None:
+def test_what_it_answers_is_everybodys_and_asked_once(opened: Open) -> None:
     theta = np.concatenate([rows(5), rows(1, fail=True)])
-    first = opens()
-    assert first.model.simulate(theta).digest == TOY.simulate(theta).digest
-    assert (first.watched.n_calls, first.plain.n_calls) == (6, 0)
-    assert first.model.failures == [TOY.simulate(rows(1, fail=True)).failures[0]]
-    assert first.model.watched(theta).tolist() == [True] * 5 + [False]
-    assert first.model.seen(theta).x[:5, 0, 0].tolist() == theta[:5, 0].tolist()
-    again = opens()
-    assert again.model.simulate(theta).digest == TOY.simulate(theta).digest
-    assert (again.model.n_simulated, again.model.n_reused) == (0, 6)
-    plain = opens.stored(TOY, "plain")
-    assert plain.simulate(theta[:5]).digest == TOY.simulate(theta[:5]).digest
-    assert plain.n_simulated == 0
+    model, plain, watched = opened(True)
+    assert model.simulate(theta).digest == TOY.simulate(theta).digest
+    assert (watched.n_calls, plain.n_calls) == (6, 0)
+    assert model.failures == [TOY.simulate(rows(1, fail=True)).failures[0]]
+    assert model.watched(theta).tolist() == [True] * 5 + [False]
+    assert model.seen(theta).x[:5, 0, 0].tolist() == theta[:5, 0].tolist()
+    again, plain, _ = opened(True)
+    assert again.simulate(theta).digest == TOY.simulate(theta).digest
+    assert (again.n_simulated, again.n_reused, plain.n_calls) == (0, 6, 0)
 
 
-def test_states_that_cannot_be_read_cost_two_rows(opens: Opens) -> None:
+def test_states_that_cannot_be_read_cost_two_rows(opened: Open) -> None:
     theta = np.concatenate([rows(1, fail=True), rows(6)])
-    opened = opens(can_be_read=False)
-    assert opened.model.simulate(theta).digest == TOY.simulate(theta).digest
+    model, plain, watched = opened(False)
+    assert model.simulate(theta).digest == TOY.simulate(theta).digest
     # The first row fails in any case, so it does not show whether states can be read.
-    assert (opened.watched.n_calls, opened.plain.n_calls) == (3, 7)
-    assert opened.model.n_asked_twice == 3
-    assert opened.model.why_unread == "no such variable"
-    assert len(opened.model.failures) == 1
-    assert np.isnan(opened.model.seen(theta).x).all()
-    again = opens(can_be_read=False)
-    assert again.model.simulate(theta).digest == TOY.simulate(theta).digest
-    assert (again.watched.n_calls, again.plain.n_calls, again.model.n_asked_twice) == (0, 0, 3)
+    assert (watched.n_calls, plain.n_calls, model.n_asked_twice) == (3, 7, 3)
+    assert model.why_unread == "no such variable"
+    assert len(model.failures) == 1
+    assert np.isnan(model.seen(theta).x).all()
+    again, plain, watched = opened(False)
+    assert again.simulate(theta).digest == TOY.simulate(theta).digest
+    assert (watched.n_calls, plain.n_calls, again.n_asked_twice) == (0, 0, 3)
 
 
 def test_what_is_watched_alone_fails_no_row() -> None:
-    case = load_case(Path(__file__).parents[2] / "fmus" / "wall")
     anything = np.array([-np.inf, np.inf])
     for is_watched, n_failed in ((True, 0), (False, 1)):
-        settings = replace(case.settings, accepted=np.array([anything, [0.0, 1.0]]), is_watched=is_watched)
+        settings = replace(WALL.settings, accepted=np.array([anything, [0.0, 1.0]]), is_watched=is_watched)
         with settings.open() as model:
-            assert model.simulate(case.parameter_space.expected[None]).failed.sum() == n_failed
+            assert model.simulate(WALL.parameter_space.expected[None]).failed.sum() == n_failed

@@ -4,11 +4,13 @@ import json
 import os
 import random
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,7 +44,7 @@ def wait_until(is_so: Callable[[], object]) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not is_so():
         assert time.monotonic() < deadline
-        time.sleep(0.05)
+        time.sleep(0.1)
 
 
 def assert_each_place_ended(paths: ProjectPaths, name: str, n: int) -> None:
@@ -56,7 +58,7 @@ def assert_each_place_ended(paths: ProjectPaths, name: str, n: int) -> None:
 
 def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> None:
     draw = random.Random(28)
-    first = [[n] for n in (1, 3, 7)]  # the trial is leased, begins, gets its hyperparameters
+    first = [[n] for n in (1, 7)]  # the trial is leased, gets its hyperparameters
     rest = [[draw.randrange(9, 60)]]
     twice = [[30, 1]]  # the retry dies as well, while it begins
     kills = [*first, *rest, *twice]
@@ -94,11 +96,11 @@ def test_a_killed_and_an_interrupted_command_go_on(
     words.append(str(tmp_path / "spec.json"))
 
     def n_ended() -> int:
-        try:
-            trials = plain_study(project, spec.name).get_trials()
-        except KeyError:
-            return 0
-        return sum(trial.state.is_finished() for trial in trials)
+        """Read as any program may; Optuna would take the processor."""
+        with closing(sqlite3.connect(f"file:{project.optuna_database}?mode=ro", uri=True)) as database:
+            states = "('COMPLETE', 'PRUNED', 'FAIL')"
+            (n,) = database.execute(f"select count(*) from trials where state in {states}").fetchone()
+        return int(n)
 
     def begun(n_more: int) -> tuple["subprocess.Popen[str]", list[psutil.Process]]:
         wanted = n_ended() + n_more
@@ -108,7 +110,7 @@ def test_a_killed_and_an_interrupted_command_go_on(
         assert len(workers) == 1
         return command, workers
 
-    command, workers = begun(2)
+    command, workers = begun(1)
     command.kill()
     command.communicate()
     assert not psutil.wait_procs(workers, timeout=20.0)[1], "a worker outlives its command"

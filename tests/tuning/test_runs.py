@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import mlflow
@@ -149,8 +150,11 @@ def test_processes_that_make_the_stores_at_once_do_not_get_in_each_other_s_way(t
     )
     command = [sys.executable, "-c", script, str(tmp_path)]
     pipe = subprocess.PIPE
-    two = [subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT) for _ in range(2)]
-    said = [process.communicate(timeout=300) for process in two]
-    assert [process.returncode for process in two] == [0, 0], said
-    assert len({out for out, _ in said}) == 1
-    assert open_storage(ProjectPaths(tmp_path)).get_all_studies() == []
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT) as other:
+        paths = ProjectPaths(tmp_path)
+        while not paths.mlruns.exists():
+            time.sleep(0.01)
+        assert open_storage(paths).get_all_studies() == []
+        experiment = RunStore(paths).experiment("toy")
+        said = other.communicate(timeout=300)
+    assert said[0] == f"{experiment}\n", said

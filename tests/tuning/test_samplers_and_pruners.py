@@ -10,25 +10,21 @@ from toy_study_for_tests import plain_study, toy_study
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.tuning.sampler import CatchUpPruner, least_until, make_pruner, make_sampler
+from studies.tuning.sampler import CatchUpPruner, make_pruner, make_sampler
 from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 
-@pytest.mark.parametrize("name", ["GPSampler", "QMCSampler"])
-def test_a_study_runs_with_any_sampler(project: ProjectPaths, name: str) -> None:
-    sampler = {"name": name, **({"n_startup_trials": 2} if name == "GPSampler" else {})}
+def test_a_study_runs_with_another_sampler(project: ProjectPaths) -> None:
+    sampler = {"name": "GPSampler", "n_startup_trials": 2}
     spec = toy_study(sampler=sampler, settings=toy_study().settings | {"max_epochs": 2, "patience": 2})
-    tune([spec], paths=project, n_trials=5, n_jobs=1, until_s=0.0)
-    # A worker for each half: what a sampler draws depends on no memory of its process.
+    tune([spec], paths=project, n_trials=4, n_jobs=1, until_s=0.0)
     Worker(project, spec.name).run()
-    first = [trial.params for trial in plain_study(project, spec.name).get_trials()]
-    assert len({str(params) for params in first}) == 5
-    proposed = [trial.user_attrs.get("proposed_by") for trial in plain_study(project, spec.name).get_trials()]
-    # A random draw is no proposal from results; a sequence of points is drawn by the sampler as well.
-    usual = {"RandomSampler": [None] * 4, "GPSampler": [None] + ["GPSampler"] * 3}
-    assert proposed[0] == "default"
-    assert name == "QMCSampler" or proposed[1:] == usual[name]
+    trials = plain_study(project, spec.name).get_trials()
+    assert len({str(trial.params) for trial in trials}) == 4
+    # A random draw is no proposal from results.
+    proposed = [trial.user_attrs.get("proposed_by") for trial in trials]
+    assert proposed == ["default", None, "GPSampler", "GPSampler"]
 
 
 @pytest.mark.parametrize(
@@ -82,15 +78,3 @@ def test_a_hopeless_trial_is_stopped_and_a_promising_one_is_not() -> None:
     assert is_stopped(KNOWN, {10: 8.1})
     assert not is_stopped(KNOWN, {10: 7.9})
     assert not is_stopped(KNOWN, {10: 1.9})
-
-
-def test_more_completed_trials_make_it_bolder() -> None:
-    assert not is_stopped(KNOWN, {10: 4.0})
-    assert is_stopped(KNOWN * 10, {10: 4.0})
-    assert is_stopped(KNOWN, {10: 2.1}, caution=0.0)
-
-
-def test_the_least_error_so_far_counts() -> None:
-    assert least_until(a_trial({5: 1.0, 10: 3.0}), 7) == 1.0
-    assert least_until(a_trial({5: 1.0, 10: 3.0}), 4) is None
-    assert not is_stopped(KNOWN, {5: 1.0, 10: 50.0})

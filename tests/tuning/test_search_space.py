@@ -10,7 +10,7 @@ from toy_study_for_tests import SEARCH, plain_study, toy_study
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.profile import load_profile, profile_names
+from studies.profile import load_profile
 from studies.search_space import (
     NETWORK_SPACE,
     PCA_GP_SPACE,
@@ -86,32 +86,6 @@ def test_the_default_lies_inside_the_usual_space(surrogate: str) -> None:
         assert value == getattr(base, name)  # inside from the start, so that nothing is clipped
 
 
-def test_the_default_of_a_narrow_space_is_its_nearest_point() -> None:
-    narrow = {
-        "n_latent": {"kind": "int", "low": 4, "high": 8},
-        "beta": {"kind": "float", "low": 200.0, "high": 300.0, "log": True},
-        "batch_size": {"kind": "int", "low": 10, "high": 290, "step": 20},
-        "activation": {"kind": "categorical", "choices": ["relu"]},
-        "patience": {"kind": "int", "low": 1, "high": 2, "when": {"activation": "silu"}},
-    }
-    point = default_point(space(narrow), VARIANTS["refined"])
-    assert point == {"n_latent": 8, "beta": 200.0, "batch_size": 70, "activation": "relu"}
-
-
-@pytest.mark.parametrize(
-    ("declared", "message"),
-    [
-        ({"kind": "categorical"}, "has choices and no low and high"),
-        ({"kind": "float", "low": 2.0, "high": 1.0}, r"low = 2\.0 is larger than high = 1\.0"),
-        ({"kind": "float", "low": 0.0, "high": 1.0, "log": True}, "log = true needs low > 0"),
-        ({"kind": "int", "low": 1.5, "high": 3}, "are whole numbers"),
-    ],
-)
-def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        SearchParameter(**declared)
-
-
 @pytest.mark.parametrize(
     ("search", "more", "message"),
     [
@@ -143,11 +117,6 @@ def test_a_wrong_profile_is_reported_in_one_line(
         load_profile(str(file))
     assert "\n" not in str(reported.value)
     assert str(reported.value).startswith(str(file))
-
-
-@pytest.mark.parametrize("name", profile_names())
-def test_shipped_profiles_search_what_the_title_promises(name: str) -> None:
-    assert {"n_latent", "n_hidden", "beta"} <= set(load_profile(name).tuning.space)
 
 
 def test_the_configurations_of_a_profile_come_right_after_the_default(project: ProjectPaths) -> None:

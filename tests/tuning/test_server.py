@@ -1,7 +1,6 @@
 """Tuning on a PostgreSQL server: workers side by side, one of them killed, and plain Optuna on its URL."""
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import optuna
@@ -57,11 +56,3 @@ def test_a_server_that_does_not_answer_is_reported_in_one_line(project: ProjectP
 def test_a_database_that_is_not_there_is_reported(project: ProjectPaths, storage: str) -> None:
     with pytest.raises(InputError, match="nowhere"):
         open_storage(ProjectPaths(project.root, storage.rsplit("/", 1)[0] + "/nowhere"))
-
-
-def test_a_file_that_is_no_database_is_reported(tmp_path: Path) -> None:
-    paths = ProjectPaths(tmp_path)
-    paths.mlruns.mkdir()
-    paths.optuna_database.write_text("no database at all, but long enough to be one")
-    with pytest.raises((InputError, MachineError), match=r"Optuna cannot open .*optuna\.db"):
-        open_storage(paths)

@@ -37,8 +37,6 @@ SEARCH: dict[str, dict[str, Any]] = {
     "beta": {"kind": "float", "low": 1.0, "high": 1000.0, "log": True},
 }
 BRIEF = {"max_epochs": 12, "validate_every": 1, "patience": 12}
-DIVERGING = {"learning_rate": {"kind": "float", "low": 1e4, "high": 1e6, "log": True}}
-"""Added to the search, it lets every training diverge."""
 
 
 def add_sets(root: Path) -> None:
