@@ -32,7 +32,7 @@ class _Member(NamedTuple):
     """
 
     hyper: Tensor  # (h,)
-    share: Tensor  # in its codes, elsewhere 0: (c, z)
+    share: Tensor  # in its codes, 0 in the others: (c, z)
     bumps: list[tuple[Tensor, Tensor]]  # k rows in s scales: (f + 1 + s, s * k), coefficients (s * k, c)
     constant: Tensor  # (c,)
     slope: Tensor  # (f, c)

@@ -1,7 +1,7 @@
 """The rows of an adaptive calibration: first design, search phases, restarts, trust region and proposals.
 
 What a search does next follows from its rows and its phase, see `AdaptiveSearch._next`: ask the first design,
-search around a row, double the window, test, restart elsewhere or go back to the best row, end.
+search around a row, double the window, test, restart in another valley or go back to the best row, end.
 """
 
 import math
