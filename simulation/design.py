@@ -45,7 +45,7 @@ def spread_design(
     chosen = space.names if columns is None else tuple(columns)
     shrink = np.where(np.isin(space.names, chosen), spread, 1.0)
     middle, reach = (space.lower + space.upper) / 2, (space.upper - space.lower) / 2
-    rng, kept = np.random.default_rng(seed), list[FloatArray]()
+    rng, kept = np.random.default_rng(seed), [np.empty((0, space.n_parameters))]
     n_drawn, n_kept = 0, 0
     while n_kept < n:
         # Generator.random fills row by row, so a longer draw begins with the shorter one.

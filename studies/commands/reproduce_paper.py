@@ -33,7 +33,7 @@ from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console
-from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of, read_sizes
+from studies.paper import ALIASES, DRAWN, ITEMS, NEEDS_FIG6
 from studies.paths import find_project
 from studies.report.wording import cell_text, listed
 
@@ -77,6 +77,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    from studies.paper.items import chosen_items, make
+
     items = chosen_items(chosen.only)
     if chosen.source is not None:
         return _drawn(chosen, items, console)
@@ -121,6 +123,8 @@ def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console)
     Raises:
         InputError: a word would be ignored, or the files are not those of the item and the case.
     """
+    from studies.paper.items import module_of, read_sizes
+
     if len(items) != 1 or items[0] not in DRAWN:
         raise InputError(f"--from draws one item alone; add --only with one of {listed(DRAWN)}")
     beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))

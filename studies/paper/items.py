@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from simulation.errors import InputError
+from studies.paper import ALIASES, ITEMS
 from studies.paper.plan import Plan
 from studies.paths import size_name
 from studies.report.wording import difference_unit
@@ -17,18 +18,6 @@ from studies.tracking.origin import versions
 
 if TYPE_CHECKING:
     from studies.report.drawing import Figure
-
-ITEMS = {
-    "fig6": "error of every trial over the training simulations, days 8 to 16",
-    "fig7": "error of the best of Fig. 6, trained again, toward the middle of the box",
-    "table3": "SciPy's optimizers straight on the FMU (Tables 2 and 3)",
-    "fig8": "256 starts of LS-TRF: how unique is a calibration",
-    "table4": "screening and polish with the best of Fig. 6 (Table 4 and Fig. 9)",
-}
-ALIASES = {"table2": "table3", "fig9": "table4"}
-NEEDS_FIG6 = ("fig7", "table4")
-DRAWN = ("fig6", "fig7", "table4")
-"""Items that can be drawn from the files of an earlier run, without the recording."""
 
 RESULT = "result.json"
 

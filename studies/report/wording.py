@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from simulation.time_unit import period_text
-
 if TYPE_CHECKING:
     from simulation.case import Case
 
@@ -123,6 +121,8 @@ def compared_in(case: Case) -> str:
     """Say which part was measured: "on days 0 to 10", "in experiments a and b"."""
     names = [one.experiment for one in case.experiments]
     if not names:
+        from simulation.time_unit import period_text  # numpy, which words on the command line do without
+
         return f"on {period_text(case.window_d)}"
     return f"in {'experiment' if len(names) == 1 else 'experiments'} {listed(names)}"
 

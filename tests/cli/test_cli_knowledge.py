@@ -31,7 +31,10 @@ def test_a_prior_costs_no_simulation_again_and_is_shown(project: Path, studies: 
     with_prior(project)
     judged = studies("uncertainty", "wall")
     assert judged.code == 2
-    assert "is of another window, measurement, scale or prior); type: studies calibrate wall" in judged.err
+    assert (
+        "there is none of this window, measurement, scale and prior; type: studies calibrate wall"
+        in judged.err
+    )
     after = studies(*ADAPTIVE, "--json").stage
     assert not after["finished_before"]
     assert after["n_simulated"] <= 12 - N_DESIGN, "the first design is stored"

@@ -120,7 +120,6 @@ def test_a_second_run_finds_everything_finished(
     stages = ("check", "simulate", "sensitivity", "tune", "calibrate-n0016", "calibrate-n0032", "report")
     for stage in stages:
         assert f"{stage}: finished before" in log
-    assert "96 simulations reused" in log
     assert finished_work(project) == work
     assert open_runs(project) == []
 

@@ -9,8 +9,9 @@ import mlflow
 import pytest
 from paper_study_for_tests import COMMITTED
 
+from studies.paper import ITEMS
 from studies.paper.fig6 import SizeTrials
-from studies.paper.items import ITEMS, module_of, read_sizes, size_files
+from studies.paper.items import module_of, read_sizes, size_files
 from studies.paper.table4 import SizeCalibrations
 from studies.paths import ProjectPaths
 from studies.tuning.study_results import read_studies
