@@ -212,15 +212,15 @@ class StoredExperiments(StoredModel):
         """
         theta = np.array(theta, dtype=np.float64)
         rows, wanted = self._joined.rows, list[FloatArray]()
-        for place in self._places:
-            one = rows.layout.experiments[place]
-            missing = theta[self._missing(place, theta)]
+        lacking = [self._missing(place, theta) for place in self._places]
+        for place, one in enumerate(rows.layout.experiments):
+            missing = theta[lacking[place]]
             # Each missing part once, by the exact bytes of the experiment's own parameters.
             parts = {row[one.parameters].tobytes(): row for row in missing}
             wanted.append(rows.rows(np.array([*parts.values()]).reshape(-1, theta.shape[1]), place))
         asked, n_parts = np.concatenate(wanted), len(theta) * len(self._places)
         n_stored = n_parts - len(asked)
-        n_new = int(self.missing(theta).sum())
+        n_new = int(np.any(lacking, axis=0).sum())
         self.n_reused += len(theta) - n_new
         self.n_simulated += n_new
         if on_progress is not None:
