@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Several processes test side by side: threads of one would only take the processors of the others.
+for library in ("OMP", "MKL", "OPENBLAS"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
 # Tests look for what is left in the temporary folder, so processes that test side by side have one each.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     own = Path(tempfile.mkdtemp(prefix=f"tests-{worker}-"))

@@ -114,7 +114,7 @@ def test_what_the_model_denies_is_not_asked_again_and_again() -> None:
         training = problem.evaluate(np.random.default_rng([3, 2]).random((256, 4)))
         known = problem.evaluate(training.u[best_and_far(training.u, -training.objective)])
         diary = Diary(model)
-        Adaptive(max_calls=20).minimize(problem.on(diary), seed=3, known=known)
+        Adaptive(max_calls=12).minimize(problem.on(diary), seed=3, known=known)
         asked = problem.evaluate(problem.space.to_unit(diary.rows))
     near = np.abs(asked.u[:, None] - asked.u).max(axis=2) + np.tri(asked.n) < 0.01
     again = near.any(axis=0) & (asked.mse > 5.0 * min(asked.mse.min(), known.mse.min()))

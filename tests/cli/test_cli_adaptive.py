@@ -16,16 +16,17 @@ from studies.cli import main
 BEST_KNOWN = 0.01052
 RECORDED = REPOSITORY / "data" / "office"
 N_BEFORE_THE_END = 3
-N_SHORT = 16
+N_SHORT = 12
 ADAPTIVE = ("calibrate", "office", "--jobs", "1")
-# State equations would take a third of these.
-SHORT = (*ADAPTIVE, "--no-state-equations", "--max-calls", str(N_SHORT))
+# Of the wall, which is calibrated faster; state equations would take half of these.
+SHORT = ("calibrate", "wall", "--jobs", "1", "--no-state-equations", "--max-calls", str(N_SHORT))
 
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with the recording that the references belong to and an empty MLflow store."""
+    """A project with office and wall, the recording that the references belong to and an empty MLflow store."""
     root = make_project(tmp_path_factory.mktemp("template") / "project")
+    add_case(root)
     for file in RECORDED.glob("*.csv"):
         shutil.copy(file, root / "data" / "office" / file.name)
     return root
@@ -43,21 +44,21 @@ def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
         assert main([*SHORT, "--quiet"]) == 0
-    assert n_stored(root) == N_SHORT
+    assert n_stored(root, "wall") == N_SHORT
     return root
 
 
 def results_of(project: Path) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "office-quick" / "calibrate-adaptive.json"
+    file = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
     content = json.loads(file.read_text(encoding="utf-8"))["result"]
     assert isinstance(content, dict)
     # How many rows are simulated depends on what is stored.
     return {name: value for name, value in content.items() if name != "n_simulated"}
 
 
-def n_stored(project: Path) -> int:
+def n_stored(project: Path, case: str = "office") -> int:
     """Return the rows of the fuller store: each row lies in one with its states and in one without."""
-    return max(map(len, stored_simulations(project).values()), default=0)
+    return max(map(len, stored_simulations(project, case).values()), default=0)
 
 
 def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path, studies: Run) -> None:
@@ -97,12 +98,12 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
     project: Path, studies: Run, undisturbed: Path
 ) -> None:
     words = (sys.executable, "-m", "studies", *SHORT)
-    interrupt(words, project, signal.SIGKILL, lambda *_: n_stored(project) >= N_BEFORE_THE_END)
-    n_before = n_stored(project)
+    interrupt(words, project, signal.SIGKILL, lambda *_: n_stored(project, "wall") >= N_BEFORE_THE_END)
+    n_before = n_stored(project, "wall")
     assert 1 < n_before < N_SHORT
     resumed = studies(*SHORT, "--json").stage
     assert resumed["n_simulated"] == N_SHORT - n_before
-    assert n_stored(project) == N_SHORT
+    assert n_stored(project, "wall") == N_SHORT
     assert results_of(undisturbed) == results_of(project)
 
 
@@ -138,9 +139,9 @@ def test_what_does_not_go_together_is_one_line(
     assert not stored_simulations(project)
 
 
-def with_wall(project: Path, *changes: tuple[str, str]) -> None:
-    """Add the wall, which is calibrated faster, with changes of its case file."""
-    case = add_case(project)
+def change_wall(project: Path, *changes: tuple[str, str]) -> None:
+    """Change the case file of the wall."""
+    case = project / "fmus" / "wall" / "case.toml"
     text = case.read_text()
     for old, new in changes:
         assert text.count(old) == 1
@@ -150,7 +151,7 @@ def with_wall(project: Path, *changes: tuple[str, str]) -> None:
 
 def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
     precise = ("uncertainty = 0.05", "uncertainty = 0.01")
-    with_wall(project, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
+    change_wall(project, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
     lacks = "the model lacks something"
     unexamined = " ".join(studies("calibrate", "wall", "--jobs", "1").out.split())
     assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in unexamined
@@ -162,7 +163,7 @@ def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, s
 
 
 def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
-    with_wall(project, ("accepted = [-50, 100]", "accepted = [7, 22]"))
+    change_wall(project, ("accepted = [-50, 100]", "accepted = [7, 22]"))
     wall = ("calibrate", "wall", "--jobs", "2", "--max-calls", "12")
     answer = studies(*wall)
     assert answer.code == 0, answer.err
