@@ -24,7 +24,7 @@ SHORT = ("calibrate", "wall", "--jobs", "1", "--no-state-equations", "--max-call
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with office and wall, the recording that the references belong to and an empty MLflow store."""
+    """A project with office, wall, the recording that the references belong to and an empty MLflow store."""
     root = make_project(tmp_path_factory.mktemp("template") / "project")
     add_case(root)
     for file in RECORDED.glob("*.csv"):

@@ -85,7 +85,7 @@ def run(project: Path, profiles: Path) -> Done:
 
 @pytest.fixture(scope="module")
 def profiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shipped profiles, of which `quick` has fewer simulations for Sobol indices and earlier proposals."""
+    """The shipped profiles; `quick` has fewer simulations for Sobol indices and earlier proposals."""
     folder = shutil.copytree(PROFILE_FOLDER, tmp_path_factory.mktemp("short") / "profiles")
     quick = (folder / "quick.toml").read_text(encoding="utf-8")
     for shipped, short in SHORTER.items():
