@@ -216,3 +216,36 @@ def steps(
                 if not np.isfinite(x).all():
                     break
     return answer
+
+
+@compiled
+def linear_steps(start: FloatArray, own: FloatArray, mode_of: IntArray, pushed: FloatArray) -> FloatArray:
+    """Move states of n points by one matrix product and one shift per step.
+
+    A point's sums are in the order of the states, so that its digits do not depend on the points beside.
+
+    Args:
+        start: First states. Shape (s, n).
+        own: Matrices, by mode, state and changed state. Shape (w, s, s, n). [1]
+        mode_of: Mode of every step. Shape (m,).
+        pushed: What inputs add in every step. Shape (m, s, n).
+
+    Returns:
+        The states, the first ones too. Shape (m + 1, s, n).
+    """
+    n_steps, n_states, n = pushed.shape
+    states = np.empty((n_steps + 1, n_states, n))
+    states[0] = start
+    for step in range(n_steps):
+        mode = mode_of[step]
+        for moved in range(n_states):
+            for point in range(n):
+                states[step + 1, moved, point] = own[mode, 0, moved, point] * states[step, 0, point]
+            for state in range(1, n_states):
+                for point in range(n):
+                    states[step + 1, moved, point] += (
+                        own[mode, state, moved, point] * states[step, state, point]
+                    )
+            for point in range(n):
+                states[step + 1, moved, point] += pushed[step, moved, point]
+    return states

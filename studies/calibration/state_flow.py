@@ -113,15 +113,10 @@ class LinearFlow:
         for rank in range(len(modes)):
             is_so = mode_of == rank
             pushed[is_so] = (driven[is_so] @ by_input[rank]).reshape(-1, n_states, n)
-        now = start.copy()
-        now[:, is_wrong] = np.nan
-        states = np.empty((1 + len(driven), n_states, n))
-        states[0] = now
-        for step, push in enumerate(pushed):
-            # A matrix product may sum in another order beside other points, and change a point's last digits.
-            now = np.add.reduce(own[mode_of[step]] * now[:, None], axis=0)
-            now += push
-            states[step + 1] = now
+        # Only who needs it waits for numba.
+        from studies.calibration.flow_steps import linear_steps
+
+        states = linear_steps(np.where(is_wrong, np.nan, start), own, mode_of, pushed)
         return states[:: signals.every // n_skipped].transpose(2, 0, 1)
 
     def _matrices(self, rates: Sequence[FloatArray]) -> FloatArray:
