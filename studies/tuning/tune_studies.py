@@ -73,9 +73,10 @@ class _Size:
     n_ended: int = 0
     results: dict[str, TunedStudy] = field(default_factory=dict)
 
-    @property
-    def is_unfinished(self) -> bool:
-        return any(attempts.is_unfinished(part.trials, part.n_planned) for part in self.parts)
+    def is_waiting(self, n_parallel: int) -> bool:
+        """Whether one of at most `n_parallel` workers could begin a trial."""
+        is_full = len(self.workers) >= n_parallel
+        return not is_full and any(attempts.is_unfinished(part.trials, part.n_planned) for part in self.parts)
 
     def start_worker(self, paths: ProjectPaths, until_s: float | None) -> None:
         names = [part.spec.name for part in self.parts]
@@ -195,15 +196,18 @@ def tune(
                 for size in largest_first:
                     size.look_after_workers()
                 is_late = until_s is not None and time.time() >= until_s
-                waiting = [] if is_late else [size for size in largest_first if size.is_unfinished]
+                n_free = n_jobs - sum(len(one.workers) for one in largest_first)
+                # Trials are read where a worker may begin: to read them takes time from those that train.
+                is_looking = bool(n_free) and not is_late
+                waiting = [size for size in largest_first if is_looking and size.is_waiting(n_parallel)]
                 for size in waiting:
-                    n_free = n_jobs - sum(len(one.workers) for one in largest_first)
                     for _ in range(min(n_free, n_parallel - len(size.workers))):
                         size.start_worker(paths, until_s)
+                        n_free -= 1
                 busy = [size for size in largest_first if size.workers]
                 for part in (part for size in busy for part in size.parts):
                     on_trials(part.spec, part.trials)
-                for size in largest_first:
+                for size in largest_first if is_looking or is_late else []:
                     if not size.workers and size not in waiting and not size.results:
                         size.results = {part.spec.name: part.close() for part in size.parts}
                 if not busy and not waiting:
