@@ -40,7 +40,7 @@ class RobustLoss:
         if self.kind == "soft-l1":
             # Without the difference of a root and 1, small values keep all digits; infinite ones become NaN.
             with np.errstate(invalid="ignore"):
-                return np.asarray(differences * np.sqrt(2.0 * c / (c + np.hypot(c, size))))
+                return differences * np.sqrt(2.0 * c / (c + np.hypot(c, size)))
         beyond = np.sqrt(2.0 * c) * np.sqrt(np.maximum(size, c) - 0.5 * c)
         return np.where(size <= c, differences, np.copysign(beyond, differences))
 
@@ -48,7 +48,7 @@ class RobustLoss:
         """Return the differences of which `shrunk` makes these. Shape as they have. [output's unit]."""
         size, c = np.abs(shrunk), self.scale
         if self.kind == "soft-l1":
-            return np.asarray(shrunk * np.hypot(1.0, 0.5 * size / c))
+            return shrunk * np.hypot(1.0, 0.5 * size / c)
         beyond = 0.5 * (np.maximum(size, c) ** 2 / c + c)
         return np.where(size <= c, shrunk, np.copysign(beyond, shrunk))
 

@@ -75,7 +75,7 @@ def values_at_edges(
         return np.interp(edges, time, values)
     from scipy.interpolate import PchipInterpolator
 
-    return np.asarray(PchipInterpolator(time, values)(np.clip(edges, time[0], time[-1])), dtype=np.float64)
+    return PchipInterpolator(time, values)(np.clip(edges, time[0], time[-1]))
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:
@@ -125,7 +125,7 @@ def values_over_steps(
     if interpolation == "held":
         # A millionth of a sample step forgives edges whose sum of floats falls just short of a sample.
         at = np.searchsorted(time, edges[:-1] + 1e-6 * np.median(np.diff(time)), side="right") - 1
-        return np.asarray(values[at], dtype=np.float64)
+        return values[at]
     # Integrated relative to the start of the window and to the mean: no digits are lost in large integrals.
     start, level = edges[0], float(np.mean(values))
     if interpolation == "linear":
@@ -134,4 +134,4 @@ def values_over_steps(
     else:
         curve = PchipInterpolator(time - start, values - level)
     integral = curve.antiderivative()(edges - start)
-    return np.asarray(np.diff(integral) / np.diff(edges) + level, dtype=np.float64)
+    return np.diff(integral) / np.diff(edges) + level

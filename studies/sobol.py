@@ -102,7 +102,7 @@ def sobol_indices(
     variance, estimates = _estimates(blocks[good], weights)
     first, total, first_ci, total_ci = estimates.reshape(4, *y.shape[1:], -1)
     return SobolIndices(
-        time=np.asarray(model.time, dtype=np.float64),
+        time=model.time,
         names=space.names,
         output_names=tuple(model.output_names),
         first_order=first,
@@ -135,7 +135,7 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
         "bounds": ends if space.constraints else np.column_stack([space.lower, space.upper]).tolist(),
     }
     # Second order would take 2 p + 2 rows per block instead of p + 2.
-    rows = np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
+    rows = sobol.sample(declared, n_base, calc_second_order=False, seed=seed)
     return space.from_unit(rows) if space.constraints else rows
 
 

@@ -23,10 +23,19 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError, MachineError
 from simulation.foreign_code import ENDED_BY
 from simulation.pool.execution import ExecutionPolicy
-from simulation.pool.factory import Factory, subject
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
 from simulation.pool.warm_code import remember
-from simulation.pool.worker_process import LOG, ChunkAnswer, End, Opened, SharedRows, refusal, work
+from simulation.pool.worker_process import (
+    LOG,
+    ChunkAnswer,
+    End,
+    Factory,
+    Opened,
+    SharedRows,
+    refusal,
+    subject,
+    work,
+)
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX = "simulation-workers-"

@@ -46,8 +46,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.best_models import best_blocks, best_document
-    from studies.project import read_project
+    from studies.project import best_blocks, best_document, read_project
 
     if chosen.n_train is not None and (chosen.write or [""])[0] != "onnx":
         raise InputError("--n-train chooses the surrogate of --write onnx; write that, or leave it out")

@@ -18,8 +18,7 @@ from pathlib import Path
 from studies.commands.study import OK
 from studies.console import Column, Console
 from studies.embedded import adopt_cases
-from studies.marker import mark_project
-from studies.paths import find_project
+from studies.paths import find_project, mark_project
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

@@ -27,8 +27,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.project import read_project
-    from studies.study_status import status_blocks, status_document
+    from studies.project import read_project, status_blocks, status_document
 
     paths = find_project(chosen.storage)
     project = read_project(paths, chosen.which)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError, MachineError
 from studies.console import Console
-from studies.marker import mark_project
-from studies.paths import ProjectPaths, find_case, find_project
+from studies.paths import ProjectPaths, find_case, find_project, mark_project
 
 if TYPE_CHECKING:
     from simulation.case import Case

@@ -9,10 +9,9 @@ from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import FmuVariable, Value
 from simulation.foreign_text import shortened
-from studies.best_models import best_calibrations
-from studies.project import FinishedCalibration, Project
+from studies.project import FinishedCalibration, Project, best_calibrations
 from studies.provenance import case_of, read_provenance
-from studies.report.wording import difference_unit, squared
+from studies.report.wording import square_of
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class CalibratedValues:
             "command": str(self.finished.outcome.provenance["command"]),
             "finished": self.finished.outcome.finished,
             error: self.finished.found.mse,
-            f"{error}_unit": squared(difference_unit(self.finished.found.output_unit)),
+            f"{error}_unit": square_of(self.finished.found.output_unit),
             **(changed if self.finished.changed_since else {}),
         }
 

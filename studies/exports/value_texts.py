@@ -1,20 +1,23 @@
-"""Values as texts that other programs read: SSV, Modelica, CSV and JSON."""
+"""Values in files that other programs read: SSV, Modelica, CSV, JSON, and an FMU with other start values."""
 
 import csv
 import io
 import json
 import re
+import zipfile
 from collections.abc import Sequence
 from typing import Final
 from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 from simulation.errors import InputError
 from simulation.fmi.variable import REAL_KINDS
+from simulation.foreign_file import FMU, check_members, read_limited
 from simulation.foreign_text import quoted, shortened
 from simulation.units import in_si
 from studies.exports.calibrated_values import CalibratedValues, SetValue
+from studies.templates import environment
 
-_SSP: Final = "http://ssp-standard.org/SSP1/SystemStructure"
 # A quoted identifier, or what stands between two dots; an element of an array is neither.
 _SEGMENT: Final = r"'(?:\\.|[^'\\])+'|[^.'\[\]()]+"
 _NAME: Final = re.compile(rf"(?:{_SEGMENT})(?:\.(?:{_SEGMENT}))*")
@@ -43,32 +46,12 @@ def as_csv(found: CalibratedValues) -> bytes:
 
 def as_ssv(found: CalibratedValues) -> bytes:
     """Return a parameter set of System Structure Parameter Values 1.0 (SSP 1.0)."""
-    ElementTree.register_namespace("ssv", f"{_SSP}ParameterValues")
-    ElementTree.register_namespace("ssc", f"{_SSP}Common")
-    values, common = f"{{{_SSP}ParameterValues}}", f"{{{_SSP}Common}}"
-    root = ElementTree.Element(
-        f"{values}ParameterSet", version="1.0", name=found.case.name, description=found.sentence
-    )
-    parameters = ElementTree.SubElement(root, f"{values}Parameters")
-    units = {}
-    for one in found.values:
-        parameter = ElementTree.SubElement(
-            parameters, f"{values}Parameter", name=one.name, description=one.origin
-        )
-        kind, attributes = _ssv_kind(one), {"value": one.text}
-        # A unit must be defined in the file; without one the variable's own holds, and it is the same.
-        if kind == "Real" and one.unit and (unit := in_si(one.unit, found.case.fmu.units)) is not None:
-            units[one.unit] = unit
-            attributes["unit"] = one.unit
-        ElementTree.SubElement(parameter, f"{values}{kind}", attributes)
-    if units:
-        defined = ElementTree.SubElement(root, f"{values}Units")
-        for name, unit in units.items():
-            powers = {base: str(power) for base, power in unit.exponents}
-            size = {"factor": repr(float(unit.factor)), "offset": repr(float(unit.offset))}
-            of = ElementTree.SubElement(defined, f"{common}Unit", name=name)
-            ElementTree.SubElement(of, f"{common}BaseUnit", powers | size)
-    return _written(root)
+    # A unit must be defined in the file; without one the variable's own holds, and it is the same.
+    said = [one.unit for one in found.values if one.unit and _ssv_kind(one) == "Real"]
+    units = {name: unit for name in said if (unit := in_si(name, found.case.fmu.units)) is not None}
+    templates = environment("exports")
+    templates.filters |= {"attribute": quoteattr, "kind": _ssv_kind}
+    return templates.get_template("values.ssv.jinja").render(found=found, units=units).encode()
 
 
 def _ssv_kind(one: SetValue) -> str:
@@ -76,12 +59,6 @@ def _ssv_kind(one: SetValue) -> str:
     if one.variable.kind in REAL_KINDS:
         return "Real"
     return one.variable.kind if one.variable.kind in ("Boolean", "String") else "Integer"
-
-
-def _written(root: ElementTree.Element) -> bytes:
-    ElementTree.indent(root)
-    text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text
 
 
 def as_modelica(found: CalibratedValues) -> bytes:
@@ -134,3 +111,57 @@ def _modifiers(bindings: Sequence[Binding], indent: str) -> str:
         inner = f"(\n{_modifiers(parts, indent + '  ')})" if parts else ""
         lines.append(f"{indent}{name}{inner}{own}")
     return ",\n".join(lines)
+
+
+DESCRIPTION = "modelDescription.xml"
+
+
+def as_fmu(found: CalibratedValues) -> bytes:
+    """Return the case's FMU whose description has the values as start values.
+
+    The binary keeps its own defaults: whether they are replaced at the start is the importer's choice.
+
+    Raises:
+        InputError: The FMU is gone or damaged.
+    """
+    path, packed = found.case.fmu.path, io.BytesIO()
+    try:
+        with (
+            zipfile.ZipFile(io.BytesIO(read_limited(path, FMU))) as old,
+            zipfile.ZipFile(packed, "w") as new,
+        ):
+            check_members(old.infolist(), str(path))
+            for member in old.infolist():
+                content = old.read(member)
+                if member.filename == DESCRIPTION:
+                    content = _with_start_values(content, found)
+                kept = zipfile.ZipInfo(member.filename, member.date_time)
+                kept.compress_type, kept.create_system = member.compress_type, member.create_system
+                kept.external_attr = member.external_attr  # which of them are programs
+                new.writestr(kept, content)
+    # RuntimeError: a member is encrypted.
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+        raise InputError(f"{path}: cannot be unpacked ({error}); export it again") from None
+    return packed.getvalue()
+
+
+def _with_start_values(description: bytes, found: CalibratedValues) -> bytes:
+    builder = ElementTree.TreeBuilder(insert_comments=True)
+    root = ElementTree.fromstring(description, ElementTree.XMLParser(target=builder))
+    values = {one.name: one for one in found.values}
+    for element in root.iterfind("ModelVariables/*"):
+        one = values.get(element.get("name", ""))
+        if one is None:
+            continue
+        if found.case.fmu.fmi_version == "2.0":
+            place, attribute = element.find(one.variable.kind), "start"
+        elif one.variable.kind == "String":
+            place, attribute = element.find("Start"), "value"
+        else:
+            place, attribute = element, "start"
+        assert place is not None, "the description was read with this variable"
+        place.set(attribute, one.text)
+    # XML has no two hyphens in a comment.
+    root.insert(0, ElementTree.Comment(f" {found.sentence.replace('--', '- -')} "))
+    changed: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return changed

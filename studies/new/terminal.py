@@ -6,10 +6,9 @@ from typing import Any
 
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.console import Column, Console
-from studies.marker import mark_project
 from studies.new.case_folder import MadeCase, describe, make_case
 from studies.new.choice import bounds_for, choose_parameters, parameter_candidates
-from studies.paths import ProjectPaths
+from studies.paths import ProjectPaths, mark_project
 from studies.report.wording import count
 
 OK = 0

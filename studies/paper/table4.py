@@ -197,7 +197,7 @@ def paper_polish(study: Study, screened: FloatArray) -> PolishResult:
     )
     with open_physical_model(study) as model:
         problem = CalibrationProblem(model, study.case.measurement)
-        u = np.asarray(problem.space.to_unit(screened[None]), dtype=np.float64)
+        u = problem.space.to_unit(screened[None])
         return settings.minimize(problem, u[0], known=problem.evaluate(u))
 
 

@@ -1,11 +1,12 @@
 """The picture of tuning: every trial's error over the training-set size (Fig. 6)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.report.drawing import (
     BEST_SURROGATE,
     INK,
@@ -19,8 +20,54 @@ from studies.report.drawing import (
     Panel,
     Series,
 )
-from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.wording import axis_label, count, significant
+
+TrialRow = tuple[int, str, float | None, float | None, float | None, bool]
+
+
+@dataclass(frozen=True)
+class TrialsRecord:
+    """Every trial of every study, one entry per trial; NaN where an error is unknown.
+
+    Attributes:
+        n_train: Training-set size of the trial's study. Shape (m,).
+        state: "complete", "pruned", "failed" or "running" per trial, m entries.
+        validation_mae: For a pruned trial the last one reported. Shape (m,). [output unit, differences]
+        test_mae: Shape (m,). [output unit, differences]
+        test_p90: Shape (m,). [output unit, differences]
+        is_best: True for the trial chosen by validation error, at most one per size. Shape (m,).
+    """
+
+    n_train: IntArray
+    state: tuple[str, ...]
+    validation_mae: FloatArray
+    test_mae: FloatArray
+    test_p90: FloatArray
+    is_best: BoolArray
+
+    @classmethod
+    def of(cls, trials: Sequence[TrialRow]) -> "TrialsRecord":
+        """Collect trials: size, state, validation MAE, test MAE, test P90, and whether it is best."""
+        sizes, states, *errors, best = zip(*trials, strict=True)
+        validation, mae, p90 = np.array(errors, dtype=np.float64)  # NaN for None
+        return cls(np.array(sizes), states, validation, mae, p90, np.array(best))
+
+
+@dataclass(frozen=True)
+class ErrorLine:
+    """Test errors of another surrogate by training-set size, drawn as a line.
+
+    Attributes:
+        name: Which surrogate.
+        n_train: Training-set sizes, rising. Shape (s,).
+        mae: Shape (s,). [output unit, differences]
+        p90: 90th percentile of the absolute errors. Shape (s,). [output unit, differences]
+    """
+
+    name: str
+    n_train: IntArray
+    mae: FloatArray
+    p90: FloatArray
 
 
 def mae_over_n_figure(

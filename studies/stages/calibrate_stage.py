@@ -11,13 +11,12 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
-from studies.stages.calibrated_point import calibration_at
+from studies.stages.calibrated_point import calibration_at, validation_inputs, with_validation
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.stage_results import Calibration, Screened
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
-from studies.stages.validate import validation_inputs, with_validation
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import run_store

@@ -16,7 +16,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.report.sentences import FITS_BETTER
 from studies.report.wording import count, listed
-from studies.stages.equations_found import learned_ode_of
+from studies.stages.adaptive_stage import learned_ode_of
 from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Outcome, Stage, StageError, Study

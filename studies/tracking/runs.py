@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
-from studies.paths import ProjectPaths, cannot_open, folder_name
+from studies.paths import ProjectPaths, folder_name, opening
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow
 
@@ -46,16 +46,10 @@ class RunStore:
         self._paths = paths
         self._artifacts = paths.artifacts.resolve()
         self._artifacts.mkdir(parents=True, exist_ok=True)
-        try:
-            # Processes that make the database at the same moment would get in each other's way.
-            with FileLock(paths.mlruns / ".mlflow.lock"):
-                if paths.storage is None and not paths.tracking_database.is_file():
-                    make_database(paths.tracking_database)
-                self.client = connect(paths.tracking_uri)
-        except (OSError, InputError):
-            raise
-        except Exception as error:
-            raise cannot_open(paths, "MLflow", paths.tracking_database, error) from None
+        with opening(paths, "MLflow", paths.tracking_database):
+            if paths.storage is None and not paths.tracking_database.is_file():
+                make_database(paths.tracking_database)
+            self.client = connect(paths.tracking_uri)
         self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
 

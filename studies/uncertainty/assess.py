@@ -66,7 +66,7 @@ class Assessment:
         """Ends and median of the posterior's intervals: low, median, high. Shape (3, p). [1]."""
         # Of particles, not of the simulated members: of 48, two or three lie beyond an end of the interval.
         shares = ENDS[0], 0.5, ENDS[1]
-        return np.asarray(np.quantile(self.sample.particles, shares, axis=0), dtype=np.float64)
+        return np.quantile(self.sample.particles, shares, axis=0)
 
 
 def sampling_within(max_calls: int, n_parameters: int) -> Sampling:

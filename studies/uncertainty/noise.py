@@ -67,8 +67,7 @@ class Noise:
             Shape (n,). [1]
         """
         # Normal: Student's t, with the size left open, gave no better shares for 168 instead of 124 calls.
-        value: FloatArray = -0.5 * self.n_independent / self.deviation**2 * mse
-        return value
+        return -0.5 * self.n_independent / self.deviation**2 * mse
 
 
 def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_parameters: int) -> Noise:

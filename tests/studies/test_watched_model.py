@@ -18,7 +18,7 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from studies.calibration.states import StateSignals
-from studies.watched_model import StoredWatchedModel
+from studies.physical_model import StoredWatchedModel
 
 TOY = ToyRC(fails_above_r=4.0)
 WALL = load_case(Path(__file__).parents[2] / "fmus" / "wall")
