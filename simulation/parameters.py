@@ -152,6 +152,10 @@ class ParameterSpace:
         mask.setflags(write=False)
         return mask
 
+    def named(self, values: FloatArray) -> dict[str, float]:
+        """Return values by the parameters' names. Shape (p,)."""
+        return dict(zip(self.names, values.tolist(), strict=True))
+
     def without(self, names: Collection[str]) -> "ParameterSpace":
         """Return the box of the parameters that are not named."""
         kept = tuple(pair for pair in self.constraints if not set(pair) & set(names))

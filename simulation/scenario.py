@@ -32,17 +32,6 @@ class Scenario:
     n_warmup: int = 0
     inputs_at_edges: FloatArray | None = None
 
-    def __post_init__(self) -> None:
-        n_steps = len(self.time_communication) - 1
-        if self.inputs.shape != (n_steps, len(self.input_names)):
-            raise ValueError(
-                f"inputs have shape {self.inputs.shape}; expected {(n_steps, len(self.input_names))}"
-            )
-        if n_steps < 1 or self.output_every < 1 or n_steps % self.output_every:
-            raise ValueError(f"{n_steps} steps cannot be looked at every {self.output_every}")
-        if not 0 <= self.n_warmup <= n_steps // self.output_every:
-            raise ValueError(f"{self.n_warmup} of the outputs cannot be left out")
-
     @property
     def driving(self) -> tuple[FloatArray, ...]:
         """All arrays of inputs."""

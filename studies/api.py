@@ -206,8 +206,8 @@ def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
         {
             "value": found.theta,
             "unit": found.units,
-            "lower": dict(zip(space.names, space.lower.tolist(), strict=True)),
-            "upper": dict(zip(space.names, space.upper.tolist(), strict=True)),
+            "lower": space.named(space.lower),
+            "upper": space.named(space.upper),
             "determined": {name: judged and name not in judged.open for name in space.names},
         }
     )

@@ -20,7 +20,7 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from studies.calibration.experiments_ode import watched_model
-from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
 from studies.paths import ProjectPaths
 from studies.stages.pipeline import StageError, Study
 
@@ -141,9 +141,7 @@ class StoredWatchedModel(StoredModel):
     on.
 
     Attributes:
-        signals: What is known of the states.
-        why_unread: Why they cannot be read, "" where they can.
-        n_asked_twice: Rows that failed with their states and were asked again without.
+        watching: What remembers the states.
     """
 
     def __init__(
@@ -162,26 +160,14 @@ class StoredWatchedModel(StoredModel):
             signals: What is known of them, or the model that remembers them.
             n_first: Rows that are asked at once while none has succeeded yet.
         """
-        self._watched = signals if isinstance(signals, WatchedModel) else WatchedModel(watched, signals)
+        self.watching = signals if isinstance(signals, WatchedModel) else WatchedModel(watched, signals)
         # What it looks like is asked of the model that answers: the other one may never be needed.
-        super().__init__(self._watched, plain.store)
-        self.signals = self._watched.signals
-        self.why_unread = ""
-        self.n_asked_twice = 0
+        super().__init__(self.watching, plain.store)
+        self.unstored = plain.unstored
         self._plain, self._rows = plain, watched
         self._n_first = n_first
         self._are_read = False
         self._n_unread = 0
-
-    @property
-    def watching(self) -> WatchedModel:
-        """What remembers the states."""
-        return self._watched
-
-    @property
-    def unstored(self) -> ForwardModel:
-        """The model itself, without states."""
-        return self._plain.unstored
 
     def watched(self, theta: FloatArray) -> BoolArray:
         """Say which rows are stored with their states, failed ones left out.
@@ -194,14 +180,6 @@ class StoredWatchedModel(StoredModel):
         """
         return self._rows.store.find_good(theta)
 
-    def seen(self, theta: FloatArray) -> StateRows:
-        """Return what states and outputs did in rows of the last simulation, NaN where that is not known.
-
-        Args:
-            theta: Their parameters, as they were answered. Shape (n, p). [per parameter]
-        """
-        return self._watched.seen(theta)
-
     def known(self, theta: FloatArray, watched: BoolArray) -> Trajectories:
         """Read rows that are stored, some with their states; what has got lost is simulated again.
 
@@ -212,7 +190,7 @@ class StoredWatchedModel(StoredModel):
         Returns:
             The same as the model answers, bit for bit.
         """
-        self._watched.forget()
+        self.watching.forget()
         if watched.any():
             self._with_states(theta[watched])
             self._are_read = True
@@ -229,7 +207,7 @@ class StoredWatchedModel(StoredModel):
         """
         theta = np.array(theta, dtype=np.float64)
         parts, n_done = [], 0
-        self._watched.forget()
+        self.watching.forget()
         while n_done < len(theta) and not (self._are_read or self.why_unread):
             parts.append(self._tried(theta[n_done : n_done + self._n_first]))
             n_done += parts[-1].n
@@ -253,7 +231,7 @@ class StoredWatchedModel(StoredModel):
         return plain
 
     def _with_states(self, theta: FloatArray) -> Trajectories:
-        answer = self._watched.simulate_more(theta)
+        answer = self.watching.simulate_more(theta)
         # What fails where states are read need not fail without.
         is_better = ~self.store.find(theta) | (~self.store.find_good(theta) & ~answer.failed)
         self.store.append(answer.take(self.watched(theta) & is_better))

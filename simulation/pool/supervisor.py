@@ -18,6 +18,7 @@ from pathlib import Path
 from time import monotonic
 
 import numpy as np
+import psutil
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError, MachineError
@@ -51,7 +52,6 @@ _SPARE_TRIES = 3
 _MAX_IN_VAIN = 5  # processes in a row that answer none, each at the FMU's own wish
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S = 0.05
-_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 # An FMU that prints at every step would fill the disk: its process is replaced.
 _MAX_LOG_BYTES = 10_000_000
 _MAX_SAID = 300  # characters of its last line that a reason quotes
@@ -117,8 +117,8 @@ class _Worker:
     @property
     def mb(self) -> float:
         """Memory that is its own: what is shared does not count."""
-        _, resident, shared = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[:3]
-        return (int(resident) - int(shared)) * _PAGE_MB
+        info = psutil.Process(self.pid).memory_info()
+        return float(info.rss - info.shared) / 1e6
 
 
 class _Supervisor:

@@ -20,9 +20,13 @@ class StoredModel(WrappedModel):
     Calls are counted above it, as asked: what a calibration costs does not depend on what is stored already.
 
     Attributes:
+        store: The store of the answers.
+        unstored: The model itself, for questions about it: how long it takes, whether it repeats.
         n_simulated: Rows that the model was asked for.
         n_reused: Rows asked of this object that the model was not asked for.
         failures: Why rows failed that `simulate` was asked for, one reason each.
+        why_unread: Why states cannot be read, of a model that watches them; "" where they can.
+        n_asked_twice: Rows that failed with their states and were asked again without.
     """
 
     def __init__(self, model: ForwardModel, store: SimulationStore, *, retry_failed: bool = False) -> None:
@@ -34,20 +38,12 @@ class StoredModel(WrappedModel):
             retry_failed: Ask the model again, once, for rows that failed before this object was made.
         """
         super().__init__(model)
-        self._store = store
+        self.unstored = model
+        self.store = store
         self._retry_up_to = store.n_written if retry_failed else 0
         self.n_simulated = self.n_reused = 0
         self.failures: list[str] = []
-
-    @property
-    def store(self) -> SimulationStore:
-        """The store of the answers."""
-        return self._store
-
-    @property
-    def unstored(self) -> ForwardModel:
-        """The model itself, for questions about it: how long it takes, whether it repeats."""
-        return self._model
+        self.why_unread, self.n_asked_twice = "", 0
 
     def missing(self, theta: FloatArray) -> BoolArray:
         """Return which rows the model would have to simulate.
@@ -58,7 +54,7 @@ class StoredModel(WrappedModel):
         Returns:
             Shape (n,); every repetition of a missing row is missing.
         """
-        return ~self._store.find(theta, failed_after=self._retry_up_to)
+        return ~self.store.find(theta, failed_after=self._retry_up_to)
 
     def watched(self, theta: FloatArray) -> BoolArray:
         """Return which rows are stored with the courses of the model's states: none, in a model without them.
@@ -81,7 +77,7 @@ class StoredModel(WrappedModel):
             The same as the model answers, bit for bit.
         """
         self.complete(theta)
-        answer = self._store.read(theta)
+        answer = self.store.read(theta)
         self.failures += filter(None, answer.failures)
         return answer
 
@@ -103,7 +99,7 @@ class StoredModel(WrappedModel):
             return
         with closing(self._as_finished(new)) as chunks:
             for chunk in chunks:
-                self._store.append(chunk)
+                self.store.append(chunk)
                 self.n_simulated += chunk.n
                 n_stored += chunk.n
                 if on_progress is not None:

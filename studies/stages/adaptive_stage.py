@@ -156,7 +156,7 @@ def calibrate_adaptively(
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)
     say_reused(study, STAGE, physical, n_repeated=n_read)
-    ledger = Ledger(n_adaptive=result.n_calls + asked_twice(physical))
+    ledger = Ledger(n_adaptive=result.n_calls + physical.n_asked_twice)
     found = calibration_at(
         study,
         physical,
@@ -254,16 +254,11 @@ def learned_ode_of(case: Case, physical: StoredModel, problem: CalibrationProble
     return learned_ode(case, physical.watching, problem)
 
 
-def asked_twice(physical: StoredModel) -> int:
-    """Return how many rows were asked a second time, because their states could not be read."""
-    return physical.n_asked_twice if isinstance(physical, StoredWatchedModel) else 0
-
-
 def equations_found(ode: LearnedODE | None, physical: StoredModel) -> EquationsFound | None:
     """Return what became of state equations; None where the states were not watched."""
     if ode is None:
         return None
-    unread = physical.why_unread if isinstance(physical, StoredWatchedModel) else ""
+    unread = physical.why_unread
     fails = f"the FMU fails where states are read ({unread}; --retry-failed asks again)"
     return EquationsFound(
         n_states=ode.n_states,

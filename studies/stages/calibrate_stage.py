@@ -142,7 +142,7 @@ def calibrate(
         history_calls=result.history.n_calls,
         history_mse=result.history.best_mse,
         screening=Screened(
-            theta=dict(zip(space.names, screened.theta[0].tolist(), strict=True)),
+            theta=space.named(screened.theta[0]),
             mse_surrogate=result.mse_surrogate,
             mse=float(screened.mse[0]),
             stop_reason=result.screen.stop_reason,

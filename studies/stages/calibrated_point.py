@@ -54,7 +54,7 @@ def calibration_at(
     return Calibration(
         case=case.name,
         seed=study.profile.seed,
-        theta=dict(zip(names, theta.tolist(), strict=True)),
+        theta=case.parameter_space.named(theta),
         units={one.name: one.unit for one in case.parameter_space.parameters},
         output_unit=case.outputs[0].unit,
         error_name=case.measurement.error_name,

@@ -199,7 +199,7 @@ def _result(
             n_effective=found.n_effective,
             is_trusted=found.n_effective >= TRUSTED * n,
             best_mse=found.best_mse,
-            best_theta=dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
+            best_theta=space.named(space.from_unit(found.best_u)),
         ),
         outputs={
             output: Covered(
