@@ -24,24 +24,22 @@ import argparse
 
 from simulation.errors import InputError
 from studies.commands import options
+from studies.commands.values import Option
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
-        "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
-    )
-    command.add_argument("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size")
-    options.add_experiment(command, "with --write: the experiment whose values are written")
-    command.add_argument(
+OPTIONS = (
+    Option("which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"),
+    Option("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size"),
+    options.experiment("with --write: the experiment whose values are written"),
+    Option(
         "--write",
         nargs="+",
         metavar=("FORMAT", "FILE"),
         help="write the best calibration to a new file: ssv, modelica, csv, json, or fmu; "
         "onnx: the best surrogate; default of FILE: named after the case, in the working folder",
-    )
+    ),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

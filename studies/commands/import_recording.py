@@ -16,16 +16,16 @@ import argparse
 from pathlib import Path
 
 from studies.commands.study import OK
+from studies.commands.values import Option
 from studies.console import Column, Console
 from studies.embedded import adopt_cases
 from studies.paths import find_project, mark_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
+OPTIONS = (
+    Option(
         "file", metavar="FILE", help="a .mat file, an FMU that contains it, or a folder with the CSV files"
-    )
+    ),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -14,15 +14,13 @@ Examples:
 
 import argparse
 
+from studies.commands.values import Option
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
-        "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
-    )
+OPTIONS = (
+    Option("which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

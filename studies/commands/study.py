@@ -36,7 +36,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.pool.pool_model import available_cores
-    from studies.stages.one_case import refuse_other_case
+    from studies.stages.finished import refuse_other_case
     from studies.stages.pipeline import Study
 
     case, window = _load_case(file, chosen.window)

@@ -5,6 +5,15 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
+from typing import Any
+
+
+class Option:
+    """An option or argument of a command, as `argparse` adds it."""
+
+    def __init__(self, *names: str, **how: Any) -> None:
+        """Take what `add_argument` takes."""
+        self.names, self.how = names, how
 
 
 @dataclass(frozen=True)
