@@ -76,7 +76,7 @@ def sobol_indices(
     n_base: int,
     seed: int,
     n_resamples: int = 100,
-    on_progress: OnProgress | None = None,
+    on_progress: OnProgress = lambda n_done, total: None,
 ) -> SobolIndices:
     """Estimate first- and total-order Sobol indices at every step (App. B; doi 10.1016/j.cpc.2009.09.018).
 
@@ -139,20 +139,15 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
     return space.from_unit(rows) if space.constraints else rows
 
 
-def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None) -> FloatArray:
+def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress) -> FloatArray:
     """Return the outputs of the rows. Shape (n, t, k). [output's unit]."""
-
-    def advance(n_done: int) -> None:
-        if on_progress is not None:
-            on_progress(n_done, len(theta))
-
-    if isinstance(model, StoredModel):
-        model.complete(theta, on_progress=advance)
-        answer = model.store.read(theta)
-        model.failures += filter(None, answer.failures)
-    else:
-        answer = model.simulate(theta)
-        advance(len(theta))
+    if not isinstance(model, StoredModel):
+        y = model.simulate(theta).y
+        on_progress(len(theta), len(theta))
+        return y
+    model.complete(theta, on_progress=lambda n_done: on_progress(n_done, len(theta)))
+    answer = model.store.read(theta)
+    model.failures += filter(None, answer.failures)
     return answer.y
 
 

@@ -10,7 +10,7 @@ from simulation.case import Case, KnownError, load_case
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from studies.calibration.ledger import Ledger
-from studies.report.figures_tuning import TrialsRecord
+from studies.report.figures_model import TrialsRecord
 from studies.report.page import ReportData
 from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome

@@ -1,17 +1,17 @@
 """Write modelDescription.xml, in FMI 2.0 and 3.0: what the templates beside this module say of a model."""
 
+import re
+from collections import Counter
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
 import casadi as ca
 
-from fmus.compiler.base_units import base_powers
 from fmus.compiler.causal import Ode, column
-from fmus.compiler.compile_error import CompileError
 from fmus.compiler.filled import filled
 from fmus.compiler.modelica import Variable
-from fmus.compiler.settings import BuildSettings
+from fmus.compiler.settings import BuildSettings, CompileError
 
 KELVIN = 273.15
 Attributes = tuple[dict[str, Any], dict[str, Any]]
@@ -160,3 +160,37 @@ def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
             ("InitialUnknowns", initial, [*inputs, *parameters, time]),
         )
     }
+
+
+_BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_DEFINED = {
+    "N": "kg.m.s-2", "Pa": "kg.m-1.s-2", "J": "kg.m2.s-2", "W": "kg.m2.s-3", "V": "kg.m2.s-3.A-1",
+    "degC": "K", "1": "",
+}  # fmt: skip
+_FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d+)?")
+
+
+def base_powers(unit: str) -> dict[str, int]:
+    """Resolve a unit such as ``W/(m2.K)`` into powers of base units, such as ``{"kg": 1, "s": -3, "K": -1}``.
+
+    Args:
+        unit: Modelica unit: factors joined by points, at most one slash, exponents as digits; a multiple of
+            an SI unit is none.
+
+    Raises:
+        CompileError: If the unit is unknown or malformed.
+    """
+    over, _, under = unit.partition("/")
+    powers = Counter[str]()
+    for sign, part in ((1, over), (-1, under.strip("()"))):
+        for text in filter(None, part.split(".")):
+            match = _FACTOR.fullmatch(text)
+            if match is None or match[1] not in (*_BASE, *_DEFINED):
+                raise CompileError(
+                    f"unit {unit!r}: {text!r} is not known; add it to fmus/compiler/model_description.py"
+                )
+            name, exponent = match[1], sign * int(match[2] or 1)
+            own = {name: 1} if name in _BASE else base_powers(_DEFINED[name])
+            for base, power in own.items():
+                powers[base] += power * exponent
+    return {name: power for name, power in powers.items() if power}

@@ -21,8 +21,7 @@ from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
 from simulation.pool.safe_start import as_for_fmus
 from simulation.pool.supervisor import Job, no_process, supervise
-from simulation.pool.warm_code import ROOM, remember
-from simulation.pool.worker_process import Factory, packed
+from simulation.pool.worker_process import ROOM, Factory, packed, remember
 
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")

@@ -25,7 +25,6 @@ from simulation.errors import InputError, MachineError
 from simulation.foreign_code import ENDED_BY
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
-from simulation.pool.warm_code import remember
 from simulation.pool.worker_process import (
     LOG,
     ChunkAnswer,
@@ -34,6 +33,7 @@ from simulation.pool.worker_process import (
     Opened,
     SharedRows,
     refusal,
+    remember,
     subject,
     work,
 )
@@ -160,18 +160,18 @@ class _Supervisor:
 
     def _open(self) -> _Worker:
         """Return a worker with an open model."""
-        for pause_s in (*_PAUSES_S, None):
+        pauses_s = iter(_PAUSES_S)
+        while True:
             worker = self._fork()
             answer = self._first_words(worker)
             if isinstance(answer, Opened):
                 self._opened = answer
                 self._rows.map(answer.facts)
                 return worker
-            if pause_s is None:
+            if (pause_s := next(pauses_s, None)) is None:
                 raise answer
             if self._parent.poll(pause_s):
                 raise EOFError
-        raise AssertionError("the last attempt raises")
 
     def _fork(self) -> _Worker:
         if self._opened is not None:

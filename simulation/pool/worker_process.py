@@ -1,14 +1,19 @@
-"""What a worker process does: a factory opens its model, and rows go into memory that outlives it."""
+"""What a worker process does: a factory opens its model, and rows go into memory that outlives it.
+
+What one worker had to compile is handed on to those that come after it.
+"""
 
 import contextlib
+import importlib
 import mmap
 import os
 import pickle
 import pickletools
 import signal
+import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from multiprocessing.connection import Connection
@@ -25,7 +30,6 @@ from simulation.foreign_code import opening_limited
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.pool.family import end_with_parent
-from simulation.pool.warm_code import learnt
 
 Factory = Callable[[], ForwardModel]
 
@@ -244,3 +248,36 @@ def _simulate(
         if is_broken:
             return End.LEAVES
     return End.DONE
+
+
+ROOM = "simulation"
+
+
+def learnt() -> bytes:
+    """Return what machine code this process has in memory.
+
+    Returns:
+        For remember() in another process; names and signatures, no code.
+    """
+    return pickle.dumps([(module, name, loop.signatures) for module, name, loop in _loops()])
+
+
+def remember(known: bytes) -> None:
+    """Compile in this process, mostly from numba's cache on disk, what another had learnt.
+
+    Args:
+        known: From learnt().
+    """
+    for module, name, signatures in pickle.loads(known):
+        for signature in signatures:
+            # At worst, every worker compiles it for itself.
+            with contextlib.suppress(Exception):
+                getattr(importlib.import_module(module), name).compile(signature)
+
+
+def _loops() -> Iterator[tuple[str, str, Any]]:
+    """Find the functions that numba compiles when they are first called; without importing numba."""
+    for module in [name for name in sys.modules if name.partition(".")[0] == ROOM]:
+        for name, value in list(vars(sys.modules[module]).items()):
+            if type(value).__module__.startswith("numba.") and hasattr(value, "signatures"):
+                yield module, name, value

@@ -81,7 +81,9 @@ class StoredModel(WrappedModel):
         self.failures += filter(None, answer.failures)
         return answer
 
-    def complete(self, theta: FloatArray, *, on_progress: Callable[[int], None] | None = None) -> None:
+    def complete(
+        self, theta: FloatArray, *, on_progress: Callable[[int], None] = lambda n_done: None
+    ) -> None:
         """Simulate the rows that are not stored, in bounded memory, and store each chunk as it finishes.
 
         Args:
@@ -93,8 +95,7 @@ class StoredModel(WrappedModel):
         new = np.array(list({row.tobytes(): row for row in theta[self.missing(theta)]}.values()))
         n_stored = len(theta) - len(new)
         self.n_reused += n_stored
-        if on_progress is not None:
-            on_progress(n_stored)
+        on_progress(n_stored)
         if not len(new):
             return
         with closing(self._as_finished(new)) as chunks:
@@ -102,8 +103,7 @@ class StoredModel(WrappedModel):
                 self.store.append(chunk)
                 self.n_simulated += chunk.n
                 n_stored += chunk.n
-                if on_progress is not None:
-                    on_progress(n_stored)
+                on_progress(n_stored)
 
     def _as_finished(self, theta: FloatArray) -> Generator[Trajectories]:
         """Yield the answers to some rows chunk by chunk, in any order: those of a pool as they finish."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -219,12 +220,10 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     changed = []
     for column, name in enumerate(scenario.input_names):
         variable = case.fmu.variables[name]
-        over_steps, at_edges = scenario.inputs.copy(), scenario.inputs_at_edges
-        over_steps[:, column] = changed_input(over_steps[:, column], variable)
-        if at_edges is not None:
-            at_edges = at_edges.copy()
-            at_edges[:, column] = changed_input(at_edges[:, column], variable)
-        other = replace(scenario, inputs=over_steps, inputs_at_edges=at_edges)
+        driving: list[Any] = [values.copy() for values in scenario.driving]
+        for values in driving:
+            values[:, column] = changed_input(values[:, column], variable)
+        other = replace(scenario, **dict(zip(("inputs", "inputs_at_edges"), driving, strict=False)))
         changed.append(replace(case.settings, scenario=other))
     return CircumstanceModel((case.settings, halved.settings, *changed), row)
 

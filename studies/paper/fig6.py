@@ -10,7 +10,7 @@ import numpy as np
 from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.report.figures_tuning import ErrorLine, TrialsRecord, mae_over_n_figure
+from studies.report.figures_model import ErrorLine, TrialsRecord, mae_over_n_figure
 from studies.row_set import RowSet
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage

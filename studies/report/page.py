@@ -24,8 +24,13 @@ from studies.report.figures_calibration import (
     interval_figure,
     validation_figure,
 )
-from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
-from studies.report.figures_tuning import TrialsRecord, mae_over_n_figure
+from studies.report.figures_model import (
+    TrialsRecord,
+    coverage_caption,
+    coverage_figure,
+    mae_over_n_figure,
+    sensitivity_figure,
+)
 from studies.report.sentences import calibration_sentences, headline, uncertainty_sentences
 from studies.report.tables import (
     Calibrations,

@@ -18,8 +18,7 @@ from studies.stages.stage_results import Calibration, Screened
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
 from studies.surrogate_model import SurrogateModel
-from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import run_store
+from studies.tracking.runs import load_surrogate, run_store
 from studies.tuning.study_results import TrialView, TunedStudy
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}

@@ -1,6 +1,6 @@
 """What tuning came to, as the records that figures and tables are made of."""
 
-from studies.report.figures_tuning import TrialsRecord
+from studies.report.figures_model import TrialsRecord
 from studies.stages.pipeline import Study
 from studies.tuning.study_results import TunedStudy, latest_studies, read_studies
 

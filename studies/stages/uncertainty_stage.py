@@ -23,10 +23,9 @@ from studies.stages.pipeline import Outcome, Stage, StageError, Study
 from studies.stages.stage_results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
 from studies.stages.stage_runs import log_uncertainty
 from studies.stages.warm_start import WarmStart
-from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
+from studies.uncertainty.assess import STEP, Assessment, assess, particles_for, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
-from studies.uncertainty.emulator import particles_for
 from studies.uncertainty.findings import LEVEL, compensations, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
 from studies.uncertainty.rows import informative_rows

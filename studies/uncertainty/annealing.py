@@ -121,7 +121,7 @@ def sample_density(
     *,
     seed: int,
     n_particles: int,
-    on_share: OnShare | None = None,
+    on_share: OnShare = lambda share: None,
 ) -> FloatArray:
     """Sample a density over the unit cube.
 
@@ -137,8 +137,7 @@ def sample_density(
     Returns:
         Points of equal weight, in no order. Shape (n, p). [1]
     """
-    report = on_share or (lambda share: None)
-    return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(report)
+    return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(on_share)
 
 
 class _Annealing:

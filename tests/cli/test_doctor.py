@@ -14,7 +14,7 @@ from simulation.case_reading import read_experiments
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import look_at_order
 from studies.doctor.declared import look_at_data
-from studies.doctor.time_budget import EXAMINATION_S, TimeBudget
+from studies.doctor.examination import EXAMINATION_S, TimeBudget
 
 EXAMINED = {
     "names, units, bounds",
