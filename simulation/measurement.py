@@ -231,7 +231,7 @@ class Measurement:
         plain = residuals.copy()
         for k, loss in enumerate(self.losses):
             if loss is not None:
-                of, scale = self._output_of == k, self.scales[k]
+                of, scale = self._by_output[self._order] == k, self.scales[k]
                 plain[..., of] = scale * loss.grown(residuals[..., of] / scale)
         return plain
 
@@ -275,11 +275,6 @@ class Measurement:
     def _by_output(self) -> IntArray:
         """Output of each sample, one output after the other."""
         return np.repeat(np.arange(len(self.samples)), [len(one.time) for one in self.samples])
-
-    @property
-    def _output_of(self) -> IntArray:
-        """Output of each residual."""
-        return self._by_output[self._order]
 
     @cached_property
     def digest(self) -> str:

@@ -24,7 +24,7 @@ import argparse
 
 from simulation.errors import InputError
 from studies.commands import options
-from studies.commands.values import Option
+from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 

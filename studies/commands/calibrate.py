@@ -41,9 +41,9 @@ Examples:
 import argparse
 
 from simulation.errors import InputError
-from studies.commands import options, values
+from studies.commands import options
+from studies.commands.options import Option
 from studies.commands.study import hand_over, open_study
-from studies.commands.values import Option
 from studies.console import Console
 
 OPTIONS = (
@@ -57,7 +57,7 @@ OPTIONS = (
     ),
     Option(
         "--parallel",
-        type=values.whole(1, 64),
+        type=options.whole(1, 64),
         metavar="Q",
         help="adaptive: simulations per round; default: 1",
     ),
@@ -72,7 +72,7 @@ OPTIONS = (
         action=argparse.BooleanOptionalAction,
         help="adaptive: learn state equations or not; default: yes if the FMU gives its states",
     ),
-    Option("--target", type=values.positive, metavar="MSE", help="adaptive: go on until this error"),
+    Option("--target", type=options.positive, metavar="MSE", help="adaptive: go on until this error"),
     options.sizes("paper: training-set sizes; default: all that have a surrogate"),
     *options.calls("most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"),
 )

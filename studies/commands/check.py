@@ -18,8 +18,8 @@ Examples:
 import argparse
 
 from studies.commands import options
+from studies.commands.options import Option
 from studies.commands.study import FAILED, OK, open_study
-from studies.commands.values import Option
 from studies.console import Console
 
 OPTIONS = (

@@ -15,8 +15,8 @@ Examples:
 import argparse
 from pathlib import Path
 
+from studies.commands.options import Option
 from studies.commands.study import OK
-from studies.commands.values import Option
 from studies.console import Column, Console
 from studies.embedded import adopt_cases
 from studies.paths import find_project, mark_project

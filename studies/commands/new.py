@@ -18,7 +18,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.values import Option
+from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 

@@ -1,6 +1,101 @@
-"""Options that several commands share."""
+"""Options that several commands share, and what their words may be; anything else is refused in one line."""
 
-from studies.commands.values import Option, address, positive, whole, window
+import argparse
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+
+class Option:
+    """An option or argument of a command, as `argparse` adds it."""
+
+    def __init__(self, *names: str, **how: Any) -> None:
+        """Take what `add_argument` takes."""
+        self.names, self.how = names, how
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of the recording.
+
+    Attributes:
+        begin: Its begin. [unit]
+        end: Its end. [unit]
+        unit: s, min, h or d.
+    """
+
+    begin: float
+    end: float
+    unit: str = "d"
+
+    @property
+    def days(self) -> tuple[float, float]:
+        """Begin and end. [d]."""
+        # Here, because the command line imports nothing heavy.
+        from simulation.time_unit import UNITS
+
+        return UNITS[self.unit].to_days(self.begin), UNITS[self.unit].to_days(self.end)
+
+    @property
+    def label(self) -> str:
+        """How results of this window are distinguished: d8-16."""
+        return f"{self.unit}{_all_digits(self.begin)}-{_all_digits(self.end)}"
+
+    def __str__(self) -> str:
+        """Return what can be typed."""
+        return f"{_all_digits(self.begin)}-{_all_digits(self.end)}{'' if self.unit == 'd' else self.unit}"
+
+
+def _all_digits(value: float) -> str:
+    """Write a number without an exponent, which the reader of windows refuses."""
+    text = f"{Decimal(repr(value)):f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def window(text: str) -> Window:
+    """Read two ascending days, 0-10, or times of another unit, 0-10s."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)(s|min|h|d)?", text)
+    if found is None or float(found[1]) >= float(found[2]):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no window; give two ascending days, e.g. 0-10, or with a unit: 0-600s, 2-8h"
+        )
+    return Window(float(found[1]), float(found[2]), found[3] or "d")
+
+
+def whole(least: int, most: int = 1_000_000) -> Callable[[str], int]:
+    """Return a reader of whole numbers between two limits."""
+
+    def read(text: str) -> int:
+        if not re.fullmatch(r"\d+", text) or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+        if int(text) > most:
+            raise argparse.ArgumentTypeError(f"{text!r} is too large; give {most} at most")
+        return int(text)
+
+    return read
+
+
+def positive(text: str) -> float:
+    """Read a positive number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def address(text: str) -> str:
+    """Read the address of a Dask scheduler."""
+    if not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:\d+", text):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no scheduler's address; give e.g. tcp://scheduler:8786"
+        )
+    return text
+
 
 NATIVE_CODE = "an FMU is native code that runs with your rights; SECURITY.md says how to run one apart"
 

@@ -19,8 +19,8 @@ import argparse
 from dataclasses import asdict
 
 from studies.commands import options
+from studies.commands.options import Option
 from studies.commands.study import FAILED, OK
-from studies.commands.values import Option
 from studies.console import Console
 from studies.paths import find_project
 

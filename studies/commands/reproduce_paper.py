@@ -30,9 +30,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simulation.errors import InputError
-from studies.commands import options, values
+from studies.commands import options
+from studies.commands.options import Option
 from studies.commands.study import OK, open_study
-from studies.commands.values import Option
 from studies.console import Column, Console
 from studies.paper import ALIASES, DRAWN, ITEMS, NEEDS_FIG6
 from studies.paths import find_project
@@ -54,7 +54,7 @@ OPTIONS = (
     Option("--budget", metavar="NAME", help="small (default) or full"),
     Option("--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"),
     Option(
-        "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
+        "--seeds", type=options.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
     ),
     Option(
         "--from",
@@ -166,7 +166,7 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     ) -> "Study":
         words = {
             "profile": profile or asked,
-            "window": None if window is None else values.Window(*window),
+            "window": None if window is None else options.Window(*window),
             "seed": seed,
             "n_train": list(n_train),
         }

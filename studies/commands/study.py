@@ -14,7 +14,7 @@ from studies.paths import ProjectPaths, find_case, find_project, mark_project
 
 if TYPE_CHECKING:
     from simulation.case import Case
-    from studies.commands.values import Window
+    from studies.commands.options import Window
     from studies.profile import Profile
     from studies.stages.pipeline import Outcome, Study
 

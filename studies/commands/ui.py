@@ -18,8 +18,8 @@ import argparse
 import os
 from pathlib import Path
 
-from studies.commands import values
-from studies.commands.values import Option
+from studies.commands import options
+from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 
@@ -32,7 +32,7 @@ OPTIONS = (
     ),
     Option(
         "--port",
-        type=values.whole(1024, 65535),
+        type=options.whole(1024, 65535),
         metavar="N",
         help="port; default: 5000 or the next free port",
     ),

@@ -16,7 +16,6 @@ from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from studies.circumstances import CircumstanceModel
 from studies.console import format_seconds
 from studies.doctor.declared import look_at_data, look_at_declaration
 from studies.doctor.finding import STOPPED, Diagnosis, Finding, finding, named
@@ -101,10 +100,9 @@ class _Examination:
 
     def _in_order(self, later: Trajectories) -> Finding:
         """Ask a row as the first of a process that was answered after others in another."""
-        model = CircumstanceModel((self._case.settings,), later.theta[0])
-        policy = self._policy(self.budget.with_opening(self.budget.first_timeout_s))
-        with PoolModel(model.open, 1, policy=policy) as alone:
-            return answers.look_at_order(later, alone.simulate(np.zeros((1, 1))))
+        policy = self._policy(self.budget.first_timeout_s)
+        with PoolModel(self._case.make_model, 1, policy=policy) as alone:
+            return answers.look_at_order(later, alone.simulate(later.theta))
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""

@@ -10,7 +10,7 @@ import re
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -125,9 +125,9 @@ def calibrated_values(project: Project, experiment: str | None = None) -> Calibr
 
 
 # A quoted identifier, or what stands between two dots; an element of an array is neither.
-_SEGMENT: Final = r"'(?:\\.|[^'\\])+'|[^.'\[\]()]+"
-_NAME: Final = re.compile(rf"(?:{_SEGMENT})(?:\.(?:{_SEGMENT}))*")
-_IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|'.*'")
+_SEGMENT = r"'(?:\\.|[^'\\])+'|[^.'\[\]()]+"
+_NAME = re.compile(rf"(?:{_SEGMENT})(?:\.(?:{_SEGMENT}))*")
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|'.*'")
 Binding = tuple[Sequence[str], str]
 """Identifiers that lead to a variable, and its value."""
 

@@ -6,7 +6,6 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted
@@ -26,7 +25,7 @@ from studies.provenance import FILE, case_of, read_provenance
 from studies.stages.pipeline import read_json
 from studies.tracking.runs import load_surrogate, run_store
 
-OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
+OF_VALUES: dict[str, tuple[str, Callable[[CalibratedValues], bytes]]] = {
     "ssv": ("ssv", as_ssv),
     "modelica": ("mo", as_modelica),
     "csv": ("csv", as_csv),
@@ -34,7 +33,7 @@ OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
     "fmu": ("fmu", as_fmu),
 }
 """Ending of the file's name, and what it holds."""
-FORMATS: Final = (*OF_VALUES, "onnx")
+FORMATS = (*OF_VALUES, "onnx")
 
 
 def write_best(

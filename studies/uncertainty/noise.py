@@ -16,7 +16,7 @@ doi:10.1093/biomet/58.3.545); put back, both give n and s.
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from studies.calibration.prior import independent_samples as declared_independen
 from studies.calibration.prior import worth_of
 
 NoiseKind = Literal["correlated", "white", "sensor"]
-NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 
 # With as many parameters as independent samples the correction would divide by 0.
 MOST_TAKEN = 0.5
