@@ -57,7 +57,7 @@ _lock = threading.Lock()
 # By what they were given at their start, and the process that started them: a fork of it has its own.
 _servers: dict[tuple[object, ...], _ForkServer] = {}
 KNOWN: set[bytes] = set()
-"""What workers had to compile, see warm_code.learnt(), for the next ones."""
+"""What workers had to compile, see learnt(), for the next ones."""
 
 
 def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection:

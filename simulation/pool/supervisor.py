@@ -64,7 +64,7 @@ class Job:
     Attributes:
         make_model: The model's factory, pickled.
         module: The module of the factory.
-        known: What workers for this program have compiled before, see warm_code.
+        known: What workers for this program have compiled before, see learnt().
         policy: What happens to rows that hang, crash or fail.
         folder: Where relative paths begin.
     """

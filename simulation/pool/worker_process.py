@@ -116,7 +116,7 @@ class Opened:
 
     Attributes:
         facts: What it looks like.
-        known: What the worker has compiled for it, see warm_code.
+        known: What the worker has compiled for it, see learnt().
     """
 
     facts: Facts

@@ -24,15 +24,16 @@ import argparse
 
 from simulation.errors import InputError
 from studies.commands import options
-from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 
 OPTIONS = (
-    Option("which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"),
-    Option("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size"),
+    options.Option(
+        "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
+    ),
+    options.Option("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size"),
     options.experiment("with --write: the experiment whose values are written"),
-    Option(
+    options.Option(
         "--write",
         nargs="+",
         metavar=("FORMAT", "FILE"),

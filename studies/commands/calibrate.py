@@ -47,8 +47,7 @@ from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
 OPTIONS = (
-    *options.CASE,
-    *options.SIMULATION,
+    *options.SIMULATED,
     Option(
         "--method",
         choices=("adaptive", "paper"),

@@ -18,13 +18,14 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.options import Option
 from studies.commands.study import FAILED, OK, open_study
 from studies.console import Console
 
 OPTIONS = (
     *options.CASE,
-    Option("--thorough", action="store_true", help="skip no check, however long the simulations take"),
+    options.Option(
+        "--thorough", action="store_true", help="skip no check, however long the simulations take"
+    ),
 )
 
 

@@ -146,6 +146,7 @@ SIMULATION = (
         help="simulate on a Dask cluster, e.g. tcp://scheduler:8786; default: on this machine",
     ),
 )
+SIMULATED = (*CASE, *SIMULATION)
 TRIALS = (
     Option("--trials", type=whole(1), metavar="N", help="trials per size in total; default: the profile's"),
     Option("--dry-run", action="store_true", help="show the plan and its duration; write nothing"),

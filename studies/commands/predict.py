@@ -24,14 +24,12 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from studies.commands import options
-from studies.commands.options import Option
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
 OPTIONS = (
-    *options.CASE,
-    *options.SIMULATION,
-    Option(
+    *options.SIMULATED,
+    options.Option(
         "--inputs",
         type=Path,
         metavar="FILE",

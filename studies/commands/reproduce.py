@@ -19,13 +19,12 @@ import argparse
 from dataclasses import asdict
 
 from studies.commands import options
-from studies.commands.options import Option
 from studies.commands.study import FAILED, OK
 from studies.console import Console
 from studies.paths import find_project
 
 OPTIONS = (
-    Option("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration"),
+    options.Option("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration"),
     options.JOBS,
 )
 

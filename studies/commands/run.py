@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 
 OPTIONS = (
-    *options.CASE,
-    *options.SIMULATION,
+    *options.SIMULATED,
     *options.TUNING,
     *options.calls("most FMU calls of one polish; default: the profile's"),
 )

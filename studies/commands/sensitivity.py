@@ -15,10 +15,7 @@ from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-OPTIONS = (
-    *options.CASE,
-    *options.SIMULATION,
-)
+OPTIONS = options.SIMULATED
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

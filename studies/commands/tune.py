@@ -23,8 +23,7 @@ from studies.commands.study import OK, hand_over, open_study
 from studies.console import Console
 
 OPTIONS = (
-    *options.CASE,
-    *options.SIMULATION,
+    *options.SIMULATED,
     *options.TUNING,
 )
 

@@ -19,18 +19,17 @@ import os
 from pathlib import Path
 
 from studies.commands import options
-from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 
 OPTIONS = (
-    Option(
+    options.Option(
         "label",
         nargs="?",
         metavar="LABEL",
         help="label (<case>-<profile>) that is shown first; default: the latest",
     ),
-    Option(
+    options.Option(
         "--port",
         type=options.whole(1024, 65535),
         metavar="N",

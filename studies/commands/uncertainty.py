@@ -24,15 +24,13 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.options import Option
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
 OPTIONS = (
-    *options.CASE,
-    *options.SIMULATION,
+    *options.SIMULATED,
     *options.CALIBRATION,
-    Option(
+    options.Option(
         "--noise",
         choices=("correlated", "white", "sensor"),
         default="correlated",
