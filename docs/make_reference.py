@@ -24,7 +24,6 @@ from simulation import case_file  # noqa: E402
 from studies import profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
-from studies.report.records_tuning import TunedSize  # noqa: E402
 from studies.stages import stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
@@ -53,7 +52,7 @@ PROFILE_TABLES = {
     "[polish]": profile.PolishBudget,
 }
 DOCUMENTS = {
-    "An entry of studies (status) and of sizes (best)": TunedSize,
+    "An entry of studies (status) and of sizes (best)": stage_results.TunedSize,
     "An entry of stages (simulate)": stage_results.SimulatedSets,
     "An entry of stages (calibrate) and of calibrations (status, best)": stage_results.Calibration,
     "ledger of a calibration": Ledger,

@@ -123,20 +123,43 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
         columns.setdefault(output.file, []).append(output.column)
     for source in file.inputs:
         columns.setdefault(source.file, []).extend(source.weights)
+    places = {name: Path(os.path.realpath(path.parent / file.data / name)) for name in columns}
+    return read_columns(file, columns, places, if_missing=file.data_origin)
+
+
+def read_columns(
+    file: CaseFile, columns: dict[str, list[str]], places: dict[str, Path], *, if_missing: str = ""
+) -> dict[str, Recording]:
+    """Read columns of recordings, as a case says how their times are written.
+
+    Args:
+        file: The case file's content.
+        columns: Columns in use of each recording, by its name in the case file.
+        places: Where it lies, by the same name.
+        if_missing: What to do where there is no such file; "" for the general advice.
+
+    Raises:
+        InputError: If one cannot be read.
+    """
     return {
         name: read_recording(
-            Path(os.path.realpath(path.parent / file.data / name)),
+            places[name],
             list(dict.fromkeys(wanted)),
             time_column=file.time_column,
             timezone=file.timezone,
-            if_missing=file.data_origin,
+            if_missing=if_missing,
         )
         for name, wanted in columns.items()
     }
 
 
-def on_one_axis(file: CaseFile, recordings: dict[str, Recording]) -> CaseData:
+def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str = "") -> CaseData:
     """Put recordings on one time axis.
+
+    Args:
+        file: The case file's content.
+        recordings: The recordings by their names in it.
+        leading: Name of the one whose first row is time 0 of timestamps; "" for the first output's.
 
     Raises:
         InputError: If their times do not belong together.
@@ -147,7 +170,7 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording]) -> CaseData:
             f'time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
             f"stand in {', '.join(used)}; correct it, or drop the key"
         )
-    first = recordings[file.outputs[0].file]
+    first = recordings[leading or file.outputs[0].file]
     for recording in recordings.values():
         if recording.clock != first.clock:
             raise InputError(

@@ -37,21 +37,6 @@ class _Experiments(BaseModel):
     experiments: list[ExperimentTable]
 
 
-def read_case_file(path: Path) -> CaseFile:
-    """Read and validate a case file.
-
-    Args:
-        path: The case.toml.
-
-    Returns:
-        Its content; where it has experiments, as if it were of the first one alone.
-
-    Raises:
-        InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
-    """
-    return read_experiments(path)[0].file
-
-
 def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
     """Read and validate a case file of one or several experiments.
 

@@ -56,4 +56,4 @@ def spread_design(
         n_drawn, n_kept = n_drawn + n, n_kept + len(kept[-1])
         if n_drawn > _MOST_DRAWN and n_kept < n:
             raise InputError(f"of {n_drawn:,} random rows, {n_kept} keep the constraints; narrow the bounds")
-    return np.asarray(np.concatenate(kept)[:n], dtype=np.float64)
+    return np.concatenate(kept)[:n]

@@ -155,7 +155,7 @@ class Measurement:
 
         Its root mean square over all residuals is then the root of the MSE.
         """
-        uncertainty = np.asarray(self.uncertainty, dtype=np.float64)
+        uncertainty = self.uncertainty
         n = np.array([len(one.time) for one in self.samples], dtype=np.float64)
         shares = np.sqrt(self.weights * n.sum() / (self.weights.sum() * n))
         return np.asarray(uncertainty[0] / uncertainty * shares)
@@ -185,7 +185,7 @@ class Measurement:
         else:
             simulated = series[:, place.before] * (1.0 - place.share)
             simulated += series[:, place.after] * place.share
-        return np.asarray(simulated - self.samples[output].values)
+        return simulated - self.samples[output].values
 
     def loss_of(self, output: int) -> RobustLoss | None:
         """Return the robust loss of an output, None for squares."""
@@ -231,7 +231,7 @@ class Measurement:
         plain = residuals.copy()
         for k, loss in enumerate(self.losses):
             if loss is not None:
-                of, scale = self._output_of == k, self.scales[k]
+                of, scale = self._by_output[self._order] == k, self.scales[k]
                 plain[..., of] = scale * loss.grown(residuals[..., of] / scale)
         return plain
 
@@ -275,11 +275,6 @@ class Measurement:
     def _by_output(self) -> IntArray:
         """Output of each sample, one output after the other."""
         return np.repeat(np.arange(len(self.samples)), [len(one.time) for one in self.samples])
-
-    @property
-    def _output_of(self) -> IntArray:
-        """Output of each residual."""
-        return np.asarray(self._by_output[self._order])
 
     @cached_property
     def digest(self) -> str:

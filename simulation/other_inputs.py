@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from simulation.case import Case
-from simulation.case_data import CaseData
+from simulation.case_data import on_one_axis, read_columns
 from simulation.case_parts import conversions, input_values
 from simulation.case_periods import MOST_STEPS
 from simulation.case_reading import read_experiments
 from simulation.errors import InputError
 from simulation.fmi.fmu import FmuSettings
-from simulation.recording import read_recording
 from simulation.scenario import Scenario
-from simulation.timestamps import zero_of, zone_named
 
 
 def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
@@ -36,21 +34,12 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
         raise InputError(
             f"{case.path}: the model has no [[inputs]]; there is nothing that {recording} drives"
         )
-    columns: dict[Path, list[str]] = {}
-    places = {one.file: recording / one.file if recording.is_dir() else recording for one in file.inputs}
+    columns, leading = dict[str, list[str]](), file.inputs[0].file
     for table in file.inputs:
-        columns.setdefault(places[table.file], []).extend(table.weights)
-    recordings = {
-        place: read_recording(
-            place, list(dict.fromkeys(names)), time_column=file.time_column, timezone=file.timezone
-        )
-        for place, names in columns.items()
-    }
-    first = recordings[places[file.inputs[0].file]]
-    zero_s = 0.0 if first.clock == "seconds" else float(first.time[0])
-    if file.time.zero is not None:
-        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone))
-    begin_s, end_s = (first.time[[0, -1]] - zero_s).tolist()
+        columns.setdefault(table.file, []).extend(table.weights)
+    places = {name: recording / name if recording.is_dir() else recording for name in columns}
+    data = on_one_axis(file, read_columns(file, columns, places), leading)
+    begin_s, end_s = data.recordings[leading].time[[0, -1]].tolist()
     step, every = case.communication_step_s, case.scenario.output_every
     n_outputs = int((end_s - begin_s) / case.output_step_s * (1.0 + 1e-9))
     if not 1 <= n_outputs <= MOST_STEPS // every:
@@ -59,7 +48,6 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
             f"{MOST_STEPS // every:,} can be simulated, so record longer or cut the file"
         )
     edges = begin_s + step * np.arange(n_outputs * every + 1, dtype=np.float64)
-    data = CaseData({name: recordings[place].since(zero_s) for name, place in places.items()}, 0.0)
     changes = conversions(case.fmu, "input", file.inputs)
     inputs, at_edges = input_values(file, case.fmu, data, changes, edges)
     scenario = Scenario(edges, inputs, case.scenario.input_names, every, inputs_at_edges=at_edges)

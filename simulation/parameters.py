@@ -1,7 +1,6 @@
 """Physical parameters: bounds, units, scales, and the map between the box and the unit cube."""
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -152,10 +151,9 @@ class ParameterSpace:
         mask.setflags(write=False)
         return mask
 
-    def without(self, names: Collection[str]) -> "ParameterSpace":
-        """Return the box of the parameters that are not named."""
-        kept = tuple(pair for pair in self.constraints if not set(pair) & set(names))
-        return ParameterSpace(tuple(one for one in self.parameters if one.name not in names), kept)
+    def named(self, values: FloatArray) -> dict[str, float]:
+        """Return values by the parameters' names. Shape (p,)."""
+        return dict(zip(self.names, values.tolist(), strict=True))
 
     @cached_property
     def _pairs(self) -> tuple[tuple[int, int], ...]:

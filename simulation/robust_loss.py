@@ -1,14 +1,13 @@
 """Robust losses: how little a large difference counts, so that outliers do not move parameters."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 
 LossKind = Literal["huber", "soft-l1"]
-LOSS_KINDS: tuple[LossKind, ...] = get_args(LossKind)
 
 USUAL_SCALE = 2.0
 """Scale of a loss by the sensor's uncertainty: of normal noise, 1 in 20 samples lies beyond. [1]"""
@@ -30,17 +29,13 @@ class RobustLoss:
     kind: LossKind
     scale: float
 
-    def __post_init__(self) -> None:
-        if self.kind not in LOSS_KINDS or not 0.0 < self.scale < np.inf:
-            raise ValueError(f"no loss: {self.kind} with scale {self.scale}")
-
     def shrunk(self, differences: FloatArray) -> FloatArray:
         """Return sign(d) sqrt(rho(d)) of differences d. Shape as they have. [output's unit]."""
         size, c = np.abs(differences), self.scale
         if self.kind == "soft-l1":
             # Without the difference of a root and 1, small values keep all digits; infinite ones become NaN.
             with np.errstate(invalid="ignore"):
-                return np.asarray(differences * np.sqrt(2.0 * c / (c + np.hypot(c, size))))
+                return differences * np.sqrt(2.0 * c / (c + np.hypot(c, size)))
         beyond = np.sqrt(2.0 * c) * np.sqrt(np.maximum(size, c) - 0.5 * c)
         return np.where(size <= c, differences, np.copysign(beyond, differences))
 
@@ -48,7 +43,7 @@ class RobustLoss:
         """Return the differences of which `shrunk` makes these. Shape as they have. [output's unit]."""
         size, c = np.abs(shrunk), self.scale
         if self.kind == "soft-l1":
-            return np.asarray(shrunk * np.hypot(1.0, 0.5 * size / c))
+            return shrunk * np.hypot(1.0, 0.5 * size / c)
         beyond = 0.5 * (np.maximum(size, c) ** 2 / c + c)
         return np.where(size <= c, shrunk, np.copysign(beyond, shrunk))
 

@@ -32,17 +32,6 @@ class Scenario:
     n_warmup: int = 0
     inputs_at_edges: FloatArray | None = None
 
-    def __post_init__(self) -> None:
-        n_steps = len(self.time_communication) - 1
-        if self.inputs.shape != (n_steps, len(self.input_names)):
-            raise ValueError(
-                f"inputs have shape {self.inputs.shape}; expected {(n_steps, len(self.input_names))}"
-            )
-        if n_steps < 1 or self.output_every < 1 or n_steps % self.output_every:
-            raise ValueError(f"{n_steps} steps cannot be looked at every {self.output_every}")
-        if not 0 <= self.n_warmup <= n_steps // self.output_every:
-            raise ValueError(f"{self.n_warmup} of the outputs cannot be left out")
-
     @property
     def driving(self) -> tuple[FloatArray, ...]:
         """All arrays of inputs."""
@@ -75,7 +64,7 @@ def values_at_edges(
         return np.interp(edges, time, values)
     from scipy.interpolate import PchipInterpolator
 
-    return np.asarray(PchipInterpolator(time, values)(np.clip(edges, time[0], time[-1])), dtype=np.float64)
+    return PchipInterpolator(time, values)(np.clip(edges, time[0], time[-1]))
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:
@@ -125,7 +114,7 @@ def values_over_steps(
     if interpolation == "held":
         # A millionth of a sample step forgives edges whose sum of floats falls just short of a sample.
         at = np.searchsorted(time, edges[:-1] + 1e-6 * np.median(np.diff(time)), side="right") - 1
-        return np.asarray(values[at], dtype=np.float64)
+        return values[at]
     # Integrated relative to the start of the window and to the mean: no digits are lost in large integrals.
     start, level = edges[0], float(np.mean(values))
     if interpolation == "linear":
@@ -134,4 +123,4 @@ def values_over_steps(
     else:
         curve = PchipInterpolator(time - start, values - level)
     integral = curve.antiderivative()(edges - start)
-    return np.asarray(np.diff(integral) / np.diff(edges) + level, dtype=np.float64)
+    return np.diff(integral) / np.diff(edges) + level

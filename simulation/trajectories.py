@@ -165,17 +165,9 @@ class Trajectories:
 
         Returns:
             All rows, in order.
-
-        Raises:
-            ValueError: If there is no batch, or the batches differ in names or times.
         """
-        first, *others = parts
-        for part in others:
-            are_named = [(one.parameter_names, one.output_names) for one in (first, part)]
-            if are_named[0] != are_named[1] or not np.array_equal(part.time, first.time):
-                raise ValueError("trajectories of different models or time grids cannot be concatenated")
         return replace(
-            first,
+            parts[0],
             theta=np.concatenate([part.theta for part in parts]),
             y=np.concatenate([part.y for part in parts]),
             failures=tuple(reason for part in parts for reason in part.failures),

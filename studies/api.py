@@ -17,9 +17,8 @@ import pandas as pd
 from simulation.case import Case
 from simulation.case import load_case as load_case_file
 from simulation.time_unit import unit_for
-from studies.cli import build_parser, command_module
+from studies.cli import build_parser, check_surroundings, command_module
 from studies.console import Console
-from studies.environment import check_surroundings
 from studies.paths import find_case, find_project
 from studies.report.wording import axis_label, quantity, square_of
 from studies.stages.pipeline import Outcome, StageError, Study
@@ -206,8 +205,8 @@ def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
         {
             "value": found.theta,
             "unit": found.units,
-            "lower": dict(zip(space.names, space.lower.tolist(), strict=True)),
-            "upper": dict(zip(space.names, space.upper.tolist(), strict=True)),
+            "lower": space.named(space.lower),
+            "upper": space.named(space.upper),
             "determined": {name: judged and name not in judged.open for name in space.names},
         }
     )

@@ -4,6 +4,7 @@ Neither this module nor those in `studies.commands` import anything heavy at the
 """
 
 import argparse
+import errno
 import importlib
 import io
 import os
@@ -25,7 +26,6 @@ from simulation.foreign_text import escaped, shortened
 from simulation.pool.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
-from studies.environment import check_surroundings, explain
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
@@ -166,14 +166,13 @@ def build_parser() -> argparse.ArgumentParser:
             formatter_class=_Paragraphs,
             allow_abbrev=False,
         )
-        command_module(name).add_options(command)
-        options.add_storage(command)
-        options.add_output(command)
+        for option in (*command_module(name).OPTIONS, *options.EVERYWHERE):
+            command.add_argument(*option.names, **option.how)
     return parser
 
 
 def command_module(name: str) -> ModuleType:
-    """Return the module behind a command: its help as docstring, `add_options` and `run`."""
+    """Return the module behind a command: its help as docstring, `OPTIONS` and `run`."""
     return importlib.import_module(f"studies.commands.{name.replace('-', '_')}")
 
 
@@ -228,3 +227,41 @@ def _failed(console: Console, error: BaseException) -> int:
     if explained is None and not isinstance(error, StageError | MachineError):
         sys.stderr.write(escaped("".join(traceback.format_exception(error)), keep_lines=True))
     return _ended(console, explained or " ".join(f"{error}".split()) or type(error).__name__, FAILED)
+
+
+_REMEDIES = {
+    errno.EACCES: "allow reading and writing there",
+    errno.EPERM: "allow reading and writing there",
+    errno.EROFS: "allow reading and writing there",
+    errno.ENOSPC: "free some space",
+    errno.EDQUOT: "free some space",
+    errno.EFBIG: "allow larger files (ulimit -f)",
+    errno.ENOTDIR: "move away the file that stands where a folder should be",
+    errno.EISDIR: "move away the folder that stands where a file should be",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+
+
+def check_surroundings() -> None:
+    """Refuse to begin where every command would fail somewhere deep inside.
+
+    Raises:
+        MachineError: the working folder was deleted.
+    """
+    try:
+        Path.cwd()
+    except OSError:
+        raise MachineError("the working folder was deleted; go to another folder (cd)") from None
+
+
+def explain(error: BaseException) -> str | None:
+    """Say in one line what is in the way and the remedy; None where the error is something else."""
+    if isinstance(error, MemoryError):
+        said = " ".join(str(error).split()) or "the memory is exhausted"
+        return f"too little memory: {said}; take fewer samples, longer steps or fewer --jobs"
+    if isinstance(error, OSError) and error.errno in _REMEDIES:
+        where = f": {error.filename}" if error.filename else ""
+        return f"{error.strerror}{where}; {_REMEDIES[error.errno]}, then type the command again"
+    return None

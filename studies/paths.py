@@ -1,15 +1,18 @@
-"""Where everything lies: the project's root, its cases, and what a run leaves behind."""
+"""Where everything lies: the project's root and its marker, its cases, and what a run leaves behind."""
 
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
 from simulation.errors import InputError, MachineError
+from simulation.file_lock import FileLock
 from simulation.foreign_text import has_control, quoted, shortened
+from simulation.whole_file import whole_file
+from studies.console import Console
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
-from studies.marker import find_root
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
 
 
@@ -48,9 +51,7 @@ class ProjectPaths:
     @property
     def tracking_uri(self) -> str:
         """MLflow's URI."""
-        if self.storage is not None:
-            return in_schema(self.storage, "mlflow")
-        return f"sqlite:///{self.tracking_database.resolve().as_posix()}"
+        return self._uri("mlflow", self.tracking_database)
 
     @property
     def optuna_database(self) -> Path:
@@ -60,9 +61,12 @@ class ProjectPaths:
     @property
     def optuna_url(self) -> str:
         """URL by which `optuna.load_study` finds the studies."""
+        return self._uri("optuna", self.optuna_database)
+
+    def _uri(self, schema: str, file: Path) -> str:
         if self.storage is not None:
-            return in_schema(self.storage, "optuna")
-        return f"sqlite:///{self.optuna_database.resolve().as_posix()}"
+            return in_schema(self.storage, schema)
+        return f"sqlite:///{file.resolve().as_posix()}"
 
     @property
     def artifacts(self) -> Path:
@@ -186,17 +190,73 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
     raise InputError(f"there is no case {quoted(case)}; {hint}{known}")
 
 
-def cannot_open(paths: ProjectPaths, program: str, file: Path, error: Exception) -> Exception:
-    """Return the error that says in a line why a program cannot open its database.
+@contextmanager
+def opening(paths: ProjectPaths, program: str, file: Path) -> Iterator[None]:
+    """Let one process at a time open the database of a program, and say in a line why it cannot.
 
     Args:
         paths: the project.
         program: Optuna or MLflow.
         file: its database where no server holds it.
-        error: what the program raised.
+
+    Raises:
+        InputError: the program refuses.
+        MachineError: the database cannot be reached or written.
     """
-    cause = error.__cause__ or error
-    said = next(iter(str(cause).splitlines()), type(cause).__name__)
-    where = paths.show(file) if paths.storage is None else paths.storage
-    kind = MachineError if "Operational" in f"{type(cause).__name__} {said}" else InputError
-    return kind(f"{program} cannot open {where} ({said}); check that it can be reached and written")
+    try:
+        # Processes that make the tables at the same moment would get in each other's way.
+        with FileLock(paths.mlruns / f".{program.lower()}.lock"):
+            yield
+    except (InputError, OSError):
+        raise
+    except Exception as error:
+        cause = error.__cause__ or error
+        said = next(iter(str(cause).splitlines()), type(cause).__name__)
+        where = paths.show(file) if paths.storage is None else paths.storage
+        kind = MachineError if "Operational" in f"{type(cause).__name__} {said}" else InputError
+        raise kind(
+            f"{program} cannot open {where} ({said}); check that it can be reached and written"
+        ) from None
+
+
+MARKER = "studies.toml"
+ROOT_VARIABLE = "STUDIES_ROOT"
+TEXT = "# This folder is a project of `studies`: results go to mlruns/ and data/, own cases to fmus/.\n"
+
+
+def find_root() -> Path:
+    """Find the project's folder: the nearest one with a marker, from the working folder upwards.
+
+    Where there is none, it is the working folder. `$STUDIES_ROOT` names another folder to begin at.
+
+    Raises:
+        InputError: `$STUDIES_ROOT` is set and is no folder.
+    """
+    declared = os.environ.get(ROOT_VARIABLE)
+    begin = Path(declared).expanduser() if declared else Path.cwd()
+    if not begin.is_dir():
+        raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
+    begin = begin.resolve()
+    for folder in (begin, *begin.parents):
+        if (folder / MARKER).is_file():
+            return folder
+    return begin
+
+
+def mark_project(root: Path, console: Console) -> None:
+    """Make a folder a project and name it; a project stays as it is.
+
+    Raises:
+        MachineError: the folder cannot be written.
+    """
+    file = root / MARKER
+    if file.is_file():
+        return
+    try:
+        with whole_file(file) as stream:
+            stream.write(TEXT.encode())
+    except OSError as error:
+        raise MachineError(
+            f"{root}: the project's folder cannot be written ({error.strerror}); go to another folder"
+        ) from None
+    console.say(f"project: {root} ({MARKER} made)")

@@ -1,7 +1,6 @@
 """Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
 
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -158,10 +157,6 @@ class Profile:
     note: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     schema: Literal[1] = 1
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the profile as plain values for digests and JSON."""
-        return asdict(self)
 
 
 _READER = TypeAdapter(Profile)

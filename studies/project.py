@@ -1,21 +1,32 @@
-"""What a project holds: its Optuna studies and its finished calibrations, and what changed since."""
+"""What a project holds, and what `studies best` and `studies status` show of it."""
 
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
 from simulation.errors import InputError
+from studies.blocks import Block, Column, Table, number
+from studies.console import format_seconds
 from studies.paths import ProjectPaths
 from studies.provenance import file_digest
-from studies.report.records_tuning import TunedSize
-from studies.report.wording import quantity, square_of
+from studies.report.tables import tuning_table
+from studies.report.wording import (
+    MISSING,
+    count,
+    listed,
+    quantity,
+    setting,
+    shown_unit,
+    significant,
+    square_of,
+)
 from studies.stages.pipeline import Outcome, read_outcome
 from studies.stages.saved import plain
-from studies.stages.stage_results import Calibration
-from studies.tuning.study_results import TunedStudy, read_studies
+from studies.stages.stage_results import Calibration, TunedSize
+from studies.tuning.study_results import TunedStudy, latest_studies, read_studies
 
 FIRST_WORDS = "type: studies run (the office, some minutes), or studies new for a case of your own"
 
@@ -114,3 +125,150 @@ def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
         raise InputError(f"nothing is called {which!r}; labels: {', '.join(sorted(cases)) or 'none'}")
     studies = [one for one in studies if one.spec.label in labels]
     return Project(paths, studies, [one for one in calibrations if one.label in labels])
+
+
+def best_blocks(project: Project) -> list[Block]:
+    """Return what a person sees."""
+    blocks: list[Block] = []
+    for label, found in best_by_label(project).items():
+        table = tuning_table([one.summary(project.studies) for one in found])
+        blocks += [label, *([table] if table else [])]
+        blocks += [*_how_to_load(project, found), ""]
+    for calibration in best_calibrations(project):
+        blocks += _calibration(calibration)
+    return blocks or [f"No completed trial and no calibration yet; {FIRST_WORDS}"]
+
+
+def best_document(project: Project) -> dict[str, Any]:
+    """Return what a program reads: where Optuna and MLflow keep everything, and the best of each size."""
+    best = [one.summary(project.studies) for found in best_by_label(project).values() for one in found]
+    return {
+        "command": "best",
+        "optuna_storage": project.paths.optuna_url,
+        "mlflow_tracking_uri": project.paths.tracking_uri,
+        "sizes": [asdict(one) for one in best],
+        "calibrations": [one.to_dict() for one in best_calibrations(project)],
+    }
+
+
+def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
+    """Return the study begun last of each size that has a best trial; the label used last comes first."""
+    tuned = [one for one in project.studies if not one.spec.is_baseline and one.best is not None]
+    found = {}
+    for label in dict.fromkeys(one.spec.label for one in sorted(tuned, key=lambda one: -one.began_s)):
+        latest = latest_studies([one for one in tuned if one.spec.label == label])
+        found[label] = [latest[key] for key in sorted(latest)]
+    return found
+
+
+def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
+    spec = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf).spec
+    storage, tracking = project.paths.optuna_url, project.paths.tracking_uri
+    lines = (
+        f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
+        f'  mlflow.set_tracking_uri("{tracking}")',
+        f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
+    )
+    return ["In Python:", *lines]
+
+
+def best_calibrations(project: Project) -> list[FinishedCalibration]:
+    """Return each case's calibration of least error on its latest data; one of changed files comes last."""
+    by_case: dict[str, list[FinishedCalibration]] = {}
+    good = [one for one in project.calibrations if math.isfinite(one.found.mse)]
+    for one in sorted(good, key=lambda one: one.outcome.finished, reverse=True):
+        same = by_case.setdefault(one.found.case, [])
+        if not same or _data(one) == _data(same[0]):
+            same.append(one)
+    return [min(same, key=lambda one: (bool(one.changed_since), one.found.mse)) for same in by_case.values()]
+
+
+def _data(one: FinishedCalibration) -> list[object]:
+    return [one.outcome.inputs.get(name) for name in ("case", "measurement")]
+
+
+def _calibration(one: FinishedCalibration) -> list[Block]:
+    found = one.found
+    how = count(found.n_calls_paper, "model call")
+    how += " in the paper's count" if found.n_calls_paper != found.n_calls else ""
+    how += f", begun with {count(found.n_warm_start, 'stored simulation')}" if found.n_warm_start else ""
+    rows = [[k, shown_unit(found.units.get(k, "")), f"{value:.6g}"] for k, value in found.theta.items()]
+    columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
+    return [
+        f"{found.case}: best calibration: {found.error_name} {one.mse_text}, {how}",
+        *([f"made before {listed(one.changed_since)} changed"] if one.changed_since else []),
+        Table(one.name, columns, rows),
+    ]
+
+
+def status_blocks(project: Project) -> list[Block]:
+    """Return what a person sees."""
+    blocks: list[Block] = []
+    tuned = [one for one in project.sizes if not one.is_baseline]
+    if tuned:
+        blocks.append(_studies(tuned))
+    if project.calibrations:
+        blocks.append(_calibrations(project.calibrations))
+    return blocks or [f"Nothing in {project.paths.root} yet; {FIRST_WORDS}"]
+
+
+def status_document(project: Project) -> dict[str, Any]:
+    """Return what a program reads."""
+    return {
+        "command": "status",
+        "studies": [asdict(one) for one in project.sizes],
+        "calibrations": [one.to_dict() for one in project.calibrations],
+    }
+
+
+def _studies(tuned: Sequence[TunedSize]) -> Table:
+    names = list(dict.fromkeys(name for one in tuned for name in one.params))
+    units = {one.unit for one in tuned}
+    alike = [(one.label, one.n_train) for one in tuned]
+    columns = [Column("study"), number("trials"), number("pruned", spare=5), number("failed", spare=8)]
+    columns += [number("running", spare=7), *(number(name, spare=2) for name in names)]
+    columns += [number("MAE"), number("P90"), number("PCA+GP", spare=3)]
+    columns += [number("trials/h", spare=9), number("to go", spare=4)]
+    rows = [
+        [
+            one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
+            f"{one.n_trials}/{one.n_all}",
+            one.n_pruned,
+            one.n_failed,
+            one.n_running,
+            *(setting(one.params.get(name)) for name in names),
+            *(MISSING if error is None else significant(error) for error in (one.mae, one.p90)),
+            significant(one.baseline["test/mae"]) if one.baseline else MISSING,
+            f"{3600.0 * one.n_trials / one.wall_s:.0f}" if one.wall_s else MISSING,
+            MISSING if one.to_go_s is None else format_seconds(one.to_go_s) if one.to_go_s else "done",
+        ]
+        for one in tuned
+    ]
+    unit = f", in {units.pop()}" if len(units) == 1 else ""
+    title = f"Studies (errors of the best trial on the test set{unit})"
+    return Table(title, columns, rows)
+
+
+def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
+    """Return a line per calibration."""
+    names = {one.found.error_name for one in calibrations}
+    final = f"final {names.pop()}" if len(names) == 1 else "final error"
+    columns = [Column("calibration"), number(final), number("calls (paper)")]
+    columns += [number("calls (all)", spare=2), Column("ended because", spare=3), number("finished", spare=1)]
+    is_any_changed = any(one.changed_since for one in calibrations)
+    columns += [Column("changed since")] * is_any_changed
+    rows = []
+    for one in calibrations:
+        found, calls = one.found, str(one.found.n_calls_paper)
+        rows.append(
+            [
+                one.name,
+                one.mse_text,
+                f"{calls} + {found.n_warm_start} stored" if found.n_warm_start else calls,
+                found.n_calls,
+                found.stop_reason,
+                one.outcome.finished[:16].replace("T", " "),
+                *([", ".join(one.changed_since)] if is_any_changed else []),
+            ]
+        )
+    return Table("", columns, rows)

@@ -16,7 +16,7 @@ from simulation.errors import InputError
 from simulation.foreign_text import quoted, shortened
 from studies.paths import ProjectPaths
 from studies.profile import Profile
-from studies.stages.saved import plain, rebuilt
+from studies.stages.saved import rebuilt
 from studies.tuning.declaration import Declaration
 
 if TYPE_CHECKING:
@@ -77,44 +77,6 @@ class Provenance:
         """Threads of the linear algebra, on which last digits depend; None where that is not known."""
         noted = self.environment.get("n_threads", "1")
         return int(noted) if noted.isdecimal() and len(noted) < len("10000") else None
-
-
-def provenance_of(
-    case: "Case", profile: Profile, paths: ProjectPaths, *, kind: str, label: str, command: str, **more: Any
-) -> dict[str, Any]:
-    """Return what makes a result of a study again, as JSON values.
-
-    Args:
-        case: the study's case.
-        profile: its budget.
-        paths: the project.
-        kind: what the result is.
-        label: the study's label.
-        command: the command line that makes it.
-        more: what this kind needs beyond case and profile.
-    """
-    # `studies status` reads results without the modules that simulate.
-    from simulation.case_reading import read_experiments
-
-    folder, files = case.path.parent, {case.path: None}
-    for declared in (one.file for one in read_experiments(case.path)):
-        names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
-        files |= dict.fromkeys([folder / declared.fmu, *(folder / declared.data / name for name in names)])
-    made = Provenance(
-        schema=SCHEMA,
-        kind=kind,
-        label=label,
-        command=command,
-        case_file=paths.recorded(case.path),
-        case_text=case.path.read_text(encoding="utf-8-sig"),
-        case_digest=case.digest,
-        measurement_digest=case.measurement.digest,
-        files={paths.recorded(file.resolve()): file_digest(file) for file in files},
-        window_d=case.window_d,
-        profile=profile,
-        **more,
-    )
-    return plain(made)
 
 
 def read_provenance(record: Mapping[str, Any], owner: str) -> Provenance:

@@ -29,8 +29,7 @@ from studies.stages.simulate_stage import simulate_stage
 from studies.stages.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.warm_start import StartRows
 from studies.tracking.origin import environment
-from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import CURVE, RunStore, run_store
+from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
 from studies.tuning.trial_training import load_data, train
 
 if TYPE_CHECKING:

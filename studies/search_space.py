@@ -1,6 +1,6 @@
 """The search space of a profile: which settings of the surrogate Optuna chooses, and from which values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -168,17 +168,19 @@ def _fault(form: SurrogateConfig, name: str, value: Any) -> str:
 
 def suggested(trial: "Trial", space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:
     """Ask Optuna for the hyperparameters of a trial, in the order of their declaration."""
-    chosen: dict[str, Any] = {}
-    for name, parameter in space.items():
-        if parameter.is_asked(base.to_dict() | chosen):
-            chosen[name] = parameter.suggest(trial, name)
-    return chosen
+    return _chosen(space, base, lambda name, parameter: parameter.suggest(trial, name))
 
 
 def default_point(space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:
     """Return the point of the search nearest to the surrogate's own settings: every study's first trial."""
+    return _chosen(space, base, lambda name, parameter: parameter.nearest(getattr(base, name)))
+
+
+def _chosen(
+    space: SearchSpace, base: SurrogateConfig, value: Callable[[str, SearchParameter], Any]
+) -> dict[str, Any]:
     chosen: dict[str, Any] = {}
     for name, parameter in space.items():
         if parameter.is_asked(base.to_dict() | chosen):
-            chosen[name] = parameter.nearest(getattr(base, name))
+            chosen[name] = value(name, parameter)
     return chosen

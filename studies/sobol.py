@@ -76,7 +76,7 @@ def sobol_indices(
     n_base: int,
     seed: int,
     n_resamples: int = 100,
-    on_progress: OnProgress | None = None,
+    on_progress: OnProgress = lambda n_done, total: None,
 ) -> SobolIndices:
     """Estimate first- and total-order Sobol indices at every step (App. B; doi 10.1016/j.cpc.2009.09.018).
 
@@ -102,7 +102,7 @@ def sobol_indices(
     variance, estimates = _estimates(blocks[good], weights)
     first, total, first_ci, total_ci = estimates.reshape(4, *y.shape[1:], -1)
     return SobolIndices(
-        time=np.asarray(model.time, dtype=np.float64),
+        time=model.time,
         names=space.names,
         output_names=tuple(model.output_names),
         first_order=first,
@@ -135,24 +135,19 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
         "bounds": ends if space.constraints else np.column_stack([space.lower, space.upper]).tolist(),
     }
     # Second order would take 2 p + 2 rows per block instead of p + 2.
-    rows = np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
+    rows = sobol.sample(declared, n_base, calc_second_order=False, seed=seed)
     return space.from_unit(rows) if space.constraints else rows
 
 
-def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None) -> FloatArray:
+def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress) -> FloatArray:
     """Return the outputs of the rows. Shape (n, t, k). [output's unit]."""
-
-    def advance(n_done: int) -> None:
-        if on_progress is not None:
-            on_progress(n_done, len(theta))
-
-    if isinstance(model, StoredModel):
-        model.complete(theta, on_progress=advance)
-        answer = model.store.read(theta)
-        model.failures += filter(None, answer.failures)
-    else:
-        answer = model.simulate(theta)
-        advance(len(theta))
+    if not isinstance(model, StoredModel):
+        y = model.simulate(theta).y
+        on_progress(len(theta), len(theta))
+        return y
+    model.complete(theta, on_progress=lambda n_done: on_progress(n_done, len(theta)))
+    answer = model.store.read(theta)
+    model.failures += filter(None, answer.failures)
     return answer.y
 
 

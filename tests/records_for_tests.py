@@ -10,8 +10,8 @@ from simulation.case import Case, KnownError, load_case
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from studies.calibration.ledger import Ledger
-from studies.report.data import ReportData
-from studies.report.records_tuning import TrialsRecord, TunedSize
+from studies.report.figures_model import TrialsRecord
+from studies.report.page import ReportData
 from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome
 from studies.stages.stage_results import (
@@ -22,6 +22,7 @@ from studies.stages.stage_results import (
     Known,
     SampleFound,
     Screened,
+    TunedSize,
     Uncertainty,
 )
 from studies.uncertainty.noise import Noise

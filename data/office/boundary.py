@@ -93,7 +93,7 @@ def _add_weather(made: pd.DataFrame, rng: np.random.Generator, t: Array) -> None
     day, hour = (t + STEP_S / 2) / DAY_S, hour_of_day(t + STEP_S / 2)
 
     def follow(trend: dict[float, float]) -> Array:
-        return np.asarray(PchipInterpolator(list(trend), list(trend.values()))(day), dtype=np.float64)
+        return PchipInterpolator(list(trend), list(trend.values()))(day)
 
     cloud = np.clip(follow(CLOUD_TREND) + 0.16 * red_noise(rng, t.size, 3 * 3600.0), 0.0, 1.0)
     swing = 0.8 + 3.0 * (1.0 - lagged(cloud, 12 * 3600.0))

@@ -89,12 +89,9 @@ def main() -> None:
     truth, _ = answer(outside[:-1] + KELVIN, STEP_S, TRUTH)
     air = truth[:, 0] - KELVIN + NOISE_K * rng.standard_normal(len(time))
     meter = np.floor(truth[:, 1] / JOULE_PER_KWH / METER_KWH) * METER_KWH
-    rows = [
-        f"{t:.0f},{out:.2f},{inside:.2f},{reading:.2f}"
-        for t, out, inside, reading in zip(time, outside, air, meter, strict=True)
-    ]
+    table, forms = np.column_stack([time, outside, air, meter]), ("%.0f", "%.2f", "%.2f", "%.2f")
     header = "time_s,TOutdoor_degC,TAir_degC,meter_kWh"
-    (HERE / "recording.csv").write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    np.savetxt(HERE / "recording.csv", table, forms, ",", header=header, comments="")
 
 
 if __name__ == "__main__":

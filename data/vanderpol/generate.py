@@ -48,8 +48,8 @@ def main() -> None:
     """Write the recording."""
     time = STEP_S * np.arange(DAYS * 86400 / STEP_S + 1)
     measured = voltage(time, **TRUTH) + NOISE_V * np.random.default_rng(SEED).standard_normal(len(time))
-    rows = [f"{t:.0f},{u:.3f}" for t, u in zip(time, measured, strict=True)]
-    (HERE / "recording.csv").write_text("\n".join(["time_s,U_V", *rows]) + "\n", encoding="utf-8")
+    table = np.column_stack([time, measured])
+    np.savetxt(HERE / "recording.csv", table, ("%.0f", "%.3f"), ",", header="time_s,U_V", comments="")
 
 
 if __name__ == "__main__":

@@ -96,13 +96,10 @@ def main() -> None:
         f"{t:.0f},{'' if gone_t else f'{temperature:.2f}'},{'' if gone_q else f'{q:.1f}'}"
         for t, temperature, q, (gone_t, gone_q) in zip(wakes, masonry, flow, lost, strict=True)
     ]
-    _write("measured.csv", ["time_s,TMasonry_degC,QRoom_W", *rows])
-    rows = [f"{t:.0f},{room:.2f},{out:.2f}" for t, (room, out) in zip(time, temperatures, strict=True)]
-    _write("inputs.csv", ["time_s,TRoom_degC,TOutdoor_degC", *rows])
-
-
-def _write(name: str, lines: list[str]) -> None:
-    (HERE / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text = "\n".join(["time_s,TMasonry_degC,QRoom_W", *rows, ""])
+    (HERE / "measured.csv").write_text(text, encoding="utf-8")
+    table, header = np.column_stack([time, temperatures]), "time_s,TRoom_degC,TOutdoor_degC"
+    np.savetxt(HERE / "inputs.csv", table, ("%.0f", "%.2f", "%.2f"), ",", header=header, comments="")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import hashlib
 import sys
 from pathlib import Path
 
-from fmus.compiler.compile_error import CompileError
+from fmus.compiler.settings import CompileError
 
 
 def main(arguments: list[str] | None = None) -> int:

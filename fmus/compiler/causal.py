@@ -5,8 +5,8 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.compiler.compile_error import CompileError
 from fmus.compiler.modelica import FlatModel, Variable
+from fmus.compiler.settings import CompileError
 
 
 @dataclass(frozen=True)

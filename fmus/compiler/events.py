@@ -5,7 +5,7 @@ from typing import Any
 
 from pymoca import ast
 
-from fmus.compiler.compile_error import CompileError
+from fmus.compiler.settings import CompileError
 
 _RELATIONS = ("<", "<=", ">", ">=")
 # Operators of Modelica that no embedded model with events needs; a model with one is refused.

@@ -1,20 +1,20 @@
-"""Write modelDescription.xml, in FMI 2.0 and 3.0."""
+"""Write modelDescription.xml, in FMI 2.0 and 3.0: what the templates beside this module say of a model."""
 
-from collections.abc import Iterable
+import re
+from collections import Counter
 from dataclasses import replace
 from importlib.metadata import version
-from xml.etree import ElementTree
+from typing import Any
 
 import casadi as ca
 
-from fmus.compiler.base_units import base_powers
 from fmus.compiler.causal import Ode, column
-from fmus.compiler.compile_error import CompileError
+from fmus.compiler.filled import filled
 from fmus.compiler.modelica import Variable
-from fmus.compiler.settings import BuildSettings
+from fmus.compiler.settings import BuildSettings, CompileError
 
 KELVIN = 273.15
-Attributes = tuple[dict[str, str], dict[str, str]]
+Attributes = tuple[dict[str, Any], dict[str, Any]]
 """Of a variable: those of every variable, and those of a real one."""
 
 
@@ -36,37 +36,37 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         CompileError: If a variable has no unit, or an unknown one.
     """
     is_fmi3 = settings.fmi_version == "3.0"
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": settings.fmi_version,
-            "modelName": ode.name,
-            "instantiationToken" if is_fmi3 else "guid": guid,
-            "description": ode.description,
-            "generationTool": f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})",
-            "variableNamingConvention": "structured",
-        },
+    if is_fmi3 and ode.has_events:
+        raise CompileError(f'{ode.name}: events are written in fmi_version = "2.0" alone')
+    about = {
+        "fmiVersion": settings.fmi_version,
+        "modelName": ode.name,
+        "instantiationToken" if is_fmi3 else "guid": guid,
+        "description": ode.description,
+        "generationTool": f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})",
+        "variableNamingConvention": "structured",
+        **({} if is_fmi3 else {"numberOfEventIndicators": len(ode.truths)}),
+    }
+    variables, dependencies, time = _variables(ode), _dependencies(ode), _time_reference(ode)
+    if is_fmi3:
+        # FMI 2.0 refers to a state by its place in the list, FMI 3.0 by its value reference.
+        for _, real in variables:
+            real |= {"derivative": real["derivative"] - 1} if "derivative" in real else {}
+    else:
+        dependencies = {
+            tag: [(index, [known + 1 for known in knowns if known != time]) for index, knowns in unknowns]
+            for tag, unknowns in dependencies.items()
+        }
+    units = sorted({*(real["unit"] for _, real in variables), *["s"] * is_fmi3})
+    return filled(
+        "modelDescription.xml.jinja",
+        about=about,
+        settings=settings,
+        units={unit: base_powers(unit) | ({"offset": KELVIN} if unit == "degC" else {}) for unit in units},
+        variables=variables,
+        dependencies=dependencies,
+        time=time,
     )
-    if not is_fmi3:
-        root.set("numberOfEventIndicators", str(len(ode.truths)))
-    variables = _variables(ode)
-    _interfaces(root, settings)
-    _unit_definitions(root, {*(attributes["unit"] for _, attributes in variables), *["s"] * is_fmi3})
-    categories = ElementTree.SubElement(root, "LogCategories")
-    ElementTree.SubElement(categories, "Category", name="logStatusError", description="Every error")
-    ElementTree.SubElement(
-        root,
-        "DefaultExperiment",
-        startTime=repr(settings.start_time_s),
-        stopTime=repr(settings.stop_time_s),
-        tolerance=repr(settings.tolerance),
-        stepSize=repr(settings.step_size_s),
-    )
-    listed = ElementTree.SubElement(root, "ModelVariables")
-    structure = ElementTree.Element("ModelStructure")
-    (_list_fmi3 if is_fmi3 else _list_fmi2)(ode, variables, listed, structure)
-    root.append(structure)
-    return _text(root)
 
 
 def write_build_description(settings: BuildSettings) -> str:
@@ -78,75 +78,7 @@ def write_build_description(settings: BuildSettings) -> str:
     Returns:
         Text of buildDescription.xml.
     """
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ElementTree.SubElement(
-        root, "BuildConfiguration", modelIdentifier=settings.identifier, description="Any C99 compiler"
-    )
-    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in settings.source_files:
-        ElementTree.SubElement(files, "SourceFile", name=name)
-    return _text(root)
-
-
-def _text(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _interfaces(root: ElementTree.Element, settings: BuildSettings) -> None:
-    is_fmi3 = settings.fmi_version == "3.0"
-    step = {"canHandleVariableCommunicationStepSize": "true"}
-    kinds = {"ModelExchange": {} if is_fmi3 else {"completedIntegratorStepNotNeeded": "true"}}
-    kinds |= {} if settings.model_exchange_only else {"CoSimulation": step}
-    common = {"modelIdentifier": settings.identifier}
-    abilities = ["canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives"]
-    if not is_fmi3:
-        abilities = [
-            "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
-            "providesDirectionalDerivative",
-        ]  # fmt: skip
-    for kind, more in kinds.items():
-        element = ElementTree.SubElement(root, kind, {**common, **dict.fromkeys(abilities, "true"), **more})
-        if not is_fmi3:
-            files = ElementTree.SubElement(element, "SourceFiles")
-            for name in settings.source_files:
-                ElementTree.SubElement(files, "File", name=name)
-
-
-def _list_fmi2(
-    ode: Ode, variables: list[Attributes], listed: ElementTree.Element, structure: ElementTree.Element
-) -> None:
-    for reference, (scalar, real) in enumerate(variables):
-        element = ElementTree.SubElement(listed, "ScalarVariable", scalar, valueReference=str(reference))
-        ElementTree.SubElement(element, "Real", real)
-    for tag, unknowns in _dependencies(ode).items():
-        parent = ElementTree.SubElement(structure, tag)
-        for reference, depends_on in unknowns:
-            dependencies = " ".join(str(known + 1) for known in depends_on if known != _time_reference(ode))
-            ElementTree.SubElement(parent, "Unknown", index=str(reference + 1), dependencies=dependencies)
-
-
-def _list_fmi3(
-    ode: Ode, variables: list[Attributes], listed: ElementTree.Element, structure: ElementTree.Element
-) -> None:
-    if ode.has_events:
-        raise CompileError(f'{ode.name}: events are written in fmi_version = "2.0" alone')
-    for reference, (scalar, real) in enumerate(variables):
-        # FMI 2.0 refers to a state by its place in the list, FMI 3.0 by its value reference.
-        if "derivative" in real:
-            real = {**real, "derivative": str(int(real["derivative"]) - 1)}
-        ElementTree.SubElement(listed, "Float64", {**scalar, "valueReference": str(reference), **real})
-    about = {"name": "time", "valueReference": str(_time_reference(ode)), "description": "Time"}
-    ElementTree.SubElement(listed, "Float64", about, causality="independent", unit="s")
-    tags = {
-        "Outputs": "Output",
-        "Derivatives": "ContinuousStateDerivative",
-        "InitialUnknowns": "InitialUnknown",
-    }
-    for tag, unknowns in _dependencies(ode).items():
-        for reference, depends_on in unknowns:
-            about = {"valueReference": str(reference), "dependencies": " ".join(map(str, depends_on))}
-            ElementTree.SubElement(structure, tags[tag], about)
+    return filled("buildDescription.xml.jinja", settings=settings)
 
 
 def _time_reference(ode: Ode) -> int:
@@ -180,7 +112,7 @@ def _variables(ode: Ode) -> list[Attributes]:
         for variable in variables
     ]
     for index, (_, real) in enumerate(rows[len(ode.states) : 2 * len(ode.states)], start=1):
-        real["derivative"] = str(index)
+        real["derivative"] = index
     if len({scalar["name"] for scalar, _ in rows}) != len(rows):
         raise CompileError(f"{ode.name}: an output is a state; give it its own name and an equation")
     return rows
@@ -189,24 +121,12 @@ def _variables(ode: Ode) -> list[Attributes]:
 def _scalar(variable: Variable, **attributes: str) -> Attributes:
     if not variable.unit:
         raise CompileError(f'{variable.name}: has no unit; give it one in the source (unit="1" for a number)')
-    real = {"unit": variable.unit}
-    if variable.minimum is not None:
-        real["min"] = repr(variable.minimum)
-    if variable.maximum is not None:
-        real["max"] = repr(variable.maximum)
+    ends = {"min": variable.minimum, "max": variable.maximum}
+    real = {"unit": variable.unit} | {name: end for name, end in ends.items() if end is not None}
     if attributes["causality"] in {"input", "parameter"}:
-        real["start"] = repr(float(variable.start))
+        real["start"] = float(variable.start)
     description = {"description": variable.description} if variable.description else {}
     return {"name": variable.name, **description, **attributes}, real
-
-
-def _unit_definitions(root: ElementTree.Element, units: Iterable[str]) -> None:
-    definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted(units):
-        attributes = {name: str(power) for name, power in base_powers(unit).items()}
-        if unit == "degC":
-            attributes["offset"] = repr(KELVIN)
-        ElementTree.SubElement(ElementTree.SubElement(definitions, "Unit", name=unit), "BaseUnit", attributes)
 
 
 def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
@@ -240,3 +160,37 @@ def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
             ("InitialUnknowns", initial, [*inputs, *parameters, time]),
         )
     }
+
+
+_BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_DEFINED = {
+    "N": "kg.m.s-2", "Pa": "kg.m-1.s-2", "J": "kg.m2.s-2", "W": "kg.m2.s-3", "V": "kg.m2.s-3.A-1",
+    "degC": "K", "1": "",
+}  # fmt: skip
+_FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d+)?")
+
+
+def base_powers(unit: str) -> dict[str, int]:
+    """Resolve a unit such as ``W/(m2.K)`` into powers of base units, such as ``{"kg": 1, "s": -3, "K": -1}``.
+
+    Args:
+        unit: Modelica unit: factors joined by points, at most one slash, exponents as digits; a multiple of
+            an SI unit is none.
+
+    Raises:
+        CompileError: If the unit is unknown or malformed.
+    """
+    over, _, under = unit.partition("/")
+    powers = Counter[str]()
+    for sign, part in ((1, over), (-1, under.strip("()"))):
+        for text in filter(None, part.split(".")):
+            match = _FACTOR.fullmatch(text)
+            if match is None or match[1] not in (*_BASE, *_DEFINED):
+                raise CompileError(
+                    f"unit {unit!r}: {text!r} is not known; add it to fmus/compiler/model_description.py"
+                )
+            name, exponent = match[1], sign * int(match[2] or 1)
+            own = {name: 1} if name in _BASE else base_powers(_DEFINED[name])
+            for base, power in own.items():
+                powers[base] += power * exponent
+    return {name: power for name, power in powers.items() if power}

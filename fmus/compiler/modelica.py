@@ -10,8 +10,8 @@ from pymoca import ast, parser
 from pymoca.backends.casadi import generator
 from pymoca.tree import flatten
 
-from fmus.compiler.compile_error import CompileError
 from fmus.compiler.events import EventNames, has_when, take_out_events
+from fmus.compiler.settings import CompileError
 
 # CasADi 3.8 dropped the Python 2 name of the division that pymoca 0.12 asks for.
 generator.OP_MAP["/"] = "__truediv__"

@@ -1,4 +1,4 @@
-"""What build.toml in a model's folder says."""
+"""What build.toml in a model's folder says, and the one error of the compiler."""
 
 import tomllib
 from pathlib import Path
@@ -7,7 +7,10 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from fmus.compiler.compile_error import CompileError
+
+class CompileError(ValueError):
+    """A model, a build file or a toolchain that cannot be compiled; one line that says why and what to do."""
+
 
 BUILD_FILE = "build.toml"
 # A whole number stays one: descriptions show it as it is written.

@@ -73,7 +73,7 @@ class FmuSettings:
             row = row + self.parameter_offsets
         if not self.ties:
             return row
-        values = dict(zip(self.parameter_space.names, row.tolist(), strict=True))
+        values = self.parameter_space.named(row)
         numbers = {name: value for name, value in self.fixed.items() if not isinstance(value, str)}
         return np.array([*row, *(one.value(numbers | values) for one in self.ties)])
 

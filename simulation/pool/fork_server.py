@@ -18,11 +18,10 @@ from pathlib import Path
 from time import monotonic
 
 from simulation.pool.execution import ExecutionPolicy
-from simulation.pool.factory import Factory, packed
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
 from simulation.pool.safe_start import as_for_fmus
 from simulation.pool.supervisor import Job, no_process, supervise
-from simulation.pool.warm_code import ROOM, remember
+from simulation.pool.worker_process import ROOM, Factory, packed, remember
 
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -58,7 +57,7 @@ _lock = threading.Lock()
 # By what they were given at their start, and the process that started them: a fork of it has its own.
 _servers: dict[tuple[object, ...], _ForkServer] = {}
 KNOWN: set[bytes] = set()
-"""What workers had to compile, see warm_code.learnt(), for the next ones."""
+"""What workers had to compile, see learnt(), for the next ones."""
 
 
 def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection:

@@ -18,9 +18,8 @@ from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from simulation.pool.chunks import RowQueue
 from simulation.pool.execution import ExecutionPolicy
-from simulation.pool.factory import Factory, Facts, known_facts, packed
 from simulation.pool.processes import Processes, ProcessLostError, RemoteModel
-from simulation.pool.worker_process import MAX_CHUNK_BYTES, ChunkAnswer
+from simulation.pool.worker_process import MAX_CHUNK_BYTES, ChunkAnswer, Factory, Facts, known_facts, packed
 from simulation.trajectories import Trajectories
 
 _LOG = logging.getLogger(__name__)

@@ -14,9 +14,8 @@ from typing import Any
 
 from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
-from simulation.pool.factory import Factory, Facts
 from simulation.pool.fork_server import KNOWN, hang_up, spawn_supervisor
-from simulation.pool.worker_process import ChunkAnswer, Opened
+from simulation.pool.worker_process import ChunkAnswer, Factory, Facts, Opened
 
 # For killing what is left and removing its files, however many they are and however slow the disk. [s]
 _ENDING_S = 60.0

@@ -18,15 +18,25 @@ from pathlib import Path
 from time import monotonic
 
 import numpy as np
+import psutil
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError, MachineError
 from simulation.foreign_code import ENDED_BY
 from simulation.pool.execution import ExecutionPolicy
-from simulation.pool.factory import Factory, subject
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
-from simulation.pool.warm_code import remember
-from simulation.pool.worker_process import LOG, ChunkAnswer, End, Opened, SharedRows, refusal, work
+from simulation.pool.worker_process import (
+    LOG,
+    ChunkAnswer,
+    End,
+    Factory,
+    Opened,
+    SharedRows,
+    refusal,
+    remember,
+    subject,
+    work,
+)
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX = "simulation-workers-"
@@ -42,7 +52,6 @@ _SPARE_TRIES = 3
 _MAX_IN_VAIN = 5  # processes in a row that answer none, each at the FMU's own wish
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S = 0.05
-_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 # An FMU that prints at every step would fill the disk: its process is replaced.
 _MAX_LOG_BYTES = 10_000_000
 _MAX_SAID = 300  # characters of its last line that a reason quotes
@@ -55,7 +64,7 @@ class Job:
     Attributes:
         make_model: The model's factory, pickled.
         module: The module of the factory.
-        known: What workers for this program have compiled before, see warm_code.
+        known: What workers for this program have compiled before, see learnt().
         policy: What happens to rows that hang, crash or fail.
         folder: Where relative paths begin.
     """
@@ -108,8 +117,8 @@ class _Worker:
     @property
     def mb(self) -> float:
         """Memory that is its own: what is shared does not count."""
-        _, resident, shared = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[:3]
-        return (int(resident) - int(shared)) * _PAGE_MB
+        info = psutil.Process(self.pid).memory_info()
+        return float(info.rss - info.shared) / 1e6
 
 
 class _Supervisor:
@@ -151,18 +160,18 @@ class _Supervisor:
 
     def _open(self) -> _Worker:
         """Return a worker with an open model."""
-        for pause_s in (*_PAUSES_S, None):
+        pauses_s = iter(_PAUSES_S)
+        while True:
             worker = self._fork()
             answer = self._first_words(worker)
             if isinstance(answer, Opened):
                 self._opened = answer
                 self._rows.map(answer.facts)
                 return worker
-            if pause_s is None:
+            if (pause_s := next(pauses_s, None)) is None:
                 raise answer
             if self._parent.poll(pause_s):
                 raise EOFError
-        raise AssertionError("the last attempt raises")
 
     def _fork(self) -> _Worker:
         if self._opened is not None:

@@ -1,16 +1,25 @@
-"""What a worker process does: it opens a model and simulates rows into memory that outlives it."""
+"""What a worker process does: a factory opens its model, and rows go into memory that outlives it.
+
+What one worker had to compile is handed on to those that come after it.
+"""
 
 import contextlib
+import importlib
 import mmap
 import os
+import pickle
+import pickletools
 import signal
+import sys
 import tempfile
 import traceback
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +28,73 @@ from simulation.errors import InputError
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.foreign_code import opening_limited
 from simulation.forward_model import ForwardModel
-from simulation.pool.factory import Factory, Facts
+from simulation.parameters import ParameterSpace
 from simulation.pool.family import end_with_parent
-from simulation.pool.warm_code import learnt
+
+Factory = Callable[[], ForwardModel]
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What is known of a model without simulating.
+
+    Attributes:
+        parameter_space: Its parameters.
+        output_names: Its outputs.
+        time: Its output times. Shape (t,). [s]
+    """
+
+    parameter_space: ParameterSpace
+    output_names: tuple[str, ...]
+    time: FloatArray
+
+
+def known_facts(make_model: Factory) -> Facts | None:
+    """Return what the owner of a factory declares of its model; None where only the open model knows.
+
+    Args:
+        make_model: The factory; its owner is the object that it is a bound method of.
+    """
+    try:
+        owner: Any = make_model.__self__  # type: ignore[attr-defined]
+        return Facts(owner.parameter_space, owner.output_names, owner.time)
+    except AttributeError:
+        return None
+
+
+def subject(make_model: Factory) -> str:
+    """Return what errors about opening a model are about: its file, where there is one.
+
+    Args:
+        make_model: The factory.
+    """
+    return str(getattr(getattr(make_model, "__self__", None), "path", make_model))
+
+
+def packed(make_model: Factory) -> bytes:
+    """Return a factory as bytes for another process.
+
+    Args:
+        make_model: The factory.
+
+    Raises:
+        RuntimeError: If no other process could read it.
+    """
+    try:
+        content = pickle.dumps(make_model)
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise RuntimeError(
+            f"the factory {make_model!r} cannot be sent to worker processes ({said}); give a function of a "
+            "module, or a method of an object that can be pickled"
+        ) from error
+    if any(argument == "__main__" for _, argument, _ in pickletools.genops(content)):
+        raise RuntimeError(
+            f"the factory {make_model!r} is defined in the script itself, where worker processes cannot find "
+            "it; move it to a module"
+        )
+    return content
+
 
 LOG = "log"
 MAX_CHUNK_BYTES = 8_000_000
@@ -43,7 +116,7 @@ class Opened:
 
     Attributes:
         facts: What it looks like.
-        known: What the worker has compiled for it, see warm_code.
+        known: What the worker has compiled for it, see learnt().
     """
 
     facts: Facts
@@ -175,3 +248,36 @@ def _simulate(
         if is_broken:
             return End.LEAVES
     return End.DONE
+
+
+ROOM = "simulation"
+
+
+def learnt() -> bytes:
+    """Return what machine code this process has in memory.
+
+    Returns:
+        For remember() in another process; names and signatures, no code.
+    """
+    return pickle.dumps([(module, name, loop.signatures) for module, name, loop in _loops()])
+
+
+def remember(known: bytes) -> None:
+    """Compile in this process, mostly from numba's cache on disk, what another had learnt.
+
+    Args:
+        known: From learnt().
+    """
+    for module, name, signatures in pickle.loads(known):
+        for signature in signatures:
+            # At worst, every worker compiles it for itself.
+            with contextlib.suppress(Exception):
+                getattr(importlib.import_module(module), name).compile(signature)
+
+
+def _loops() -> Iterator[tuple[str, str, Any]]:
+    """Find the functions that numba compiles when they are first called; without importing numba."""
+    for module in [name for name in sys.modules if name.partition(".")[0] == ROOM]:
+        for name, value in list(vars(sys.modules[module]).items()):
+            if type(value).__module__.startswith("numba.") and hasattr(value, "signatures"):
+                yield module, name, value

@@ -20,9 +20,13 @@ class StoredModel(WrappedModel):
     Calls are counted above it, as asked: what a calibration costs does not depend on what is stored already.
 
     Attributes:
+        store: The store of the answers.
+        unstored: The model itself, for questions about it: how long it takes, whether it repeats.
         n_simulated: Rows that the model was asked for.
         n_reused: Rows asked of this object that the model was not asked for.
         failures: Why rows failed that `simulate` was asked for, one reason each.
+        why_unread: Why states cannot be read, of a model that watches them; "" where they can.
+        n_asked_twice: Rows that failed with their states and were asked again without.
     """
 
     def __init__(self, model: ForwardModel, store: SimulationStore, *, retry_failed: bool = False) -> None:
@@ -34,20 +38,12 @@ class StoredModel(WrappedModel):
             retry_failed: Ask the model again, once, for rows that failed before this object was made.
         """
         super().__init__(model)
-        self._store = store
+        self.unstored = model
+        self.store = store
         self._retry_up_to = store.n_written if retry_failed else 0
         self.n_simulated = self.n_reused = 0
         self.failures: list[str] = []
-
-    @property
-    def store(self) -> SimulationStore:
-        """The store of the answers."""
-        return self._store
-
-    @property
-    def unstored(self) -> ForwardModel:
-        """The model itself, for questions about it: how long it takes, whether it repeats."""
-        return self._model
+        self.why_unread, self.n_asked_twice = "", 0
 
     def missing(self, theta: FloatArray) -> BoolArray:
         """Return which rows the model would have to simulate.
@@ -58,7 +54,7 @@ class StoredModel(WrappedModel):
         Returns:
             Shape (n,); every repetition of a missing row is missing.
         """
-        return ~self._store.find(theta, failed_after=self._retry_up_to)
+        return ~self.store.find(theta, failed_after=self._retry_up_to)
 
     def watched(self, theta: FloatArray) -> BoolArray:
         """Return which rows are stored with the courses of the model's states: none, in a model without them.
@@ -81,11 +77,13 @@ class StoredModel(WrappedModel):
             The same as the model answers, bit for bit.
         """
         self.complete(theta)
-        answer = self._store.read(theta)
+        answer = self.store.read(theta)
         self.failures += filter(None, answer.failures)
         return answer
 
-    def complete(self, theta: FloatArray, *, on_progress: Callable[[int], None] | None = None) -> None:
+    def complete(
+        self, theta: FloatArray, *, on_progress: Callable[[int], None] = lambda n_done: None
+    ) -> None:
         """Simulate the rows that are not stored, in bounded memory, and store each chunk as it finishes.
 
         Args:
@@ -97,17 +95,15 @@ class StoredModel(WrappedModel):
         new = np.array(list({row.tobytes(): row for row in theta[self.missing(theta)]}.values()))
         n_stored = len(theta) - len(new)
         self.n_reused += n_stored
-        if on_progress is not None:
-            on_progress(n_stored)
+        on_progress(n_stored)
         if not len(new):
             return
         with closing(self._as_finished(new)) as chunks:
             for chunk in chunks:
-                self._store.append(chunk)
+                self.store.append(chunk)
                 self.n_simulated += chunk.n
                 n_stored += chunk.n
-                if on_progress is not None:
-                    on_progress(n_stored)
+                on_progress(n_stored)
 
     def _as_finished(self, theta: FloatArray) -> Generator[Trajectories]:
         """Yield the answers to some rows chunk by chunk, in any order: those of a pool as they finish."""

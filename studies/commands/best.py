@@ -27,27 +27,25 @@ from studies.commands import options
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
+OPTIONS = (
+    options.Option(
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
-    )
-    command.add_argument("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size")
-    options.add_experiment(command, "with --write: the experiment whose values are written")
-    command.add_argument(
+    ),
+    options.Option("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size"),
+    options.experiment("with --write: the experiment whose values are written"),
+    options.Option(
         "--write",
         nargs="+",
         metavar=("FORMAT", "FILE"),
         help="write the best calibration to a new file: ssv, modelica, csv, json, or fmu; "
         "onnx: the best surrogate; default of FILE: named after the case, in the working folder",
-    )
+    ),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.best_models import best_blocks, best_document
-    from studies.project import read_project
+    from studies.project import best_blocks, best_document, read_project
 
     if chosen.n_train is not None and (chosen.write or [""])[0] != "onnx":
         raise InputError("--n-train chooses the surrogate of --write onnx; write that, or leave it out")

@@ -41,45 +41,40 @@ Examples:
 import argparse
 
 from simulation.errors import InputError
-from studies.commands import options, values
+from studies.commands import options
+from studies.commands.options import Option
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    options.add_simulation(command)
-    command.add_argument(
+OPTIONS = (
+    *options.SIMULATED,
+    Option(
         "--method",
         choices=("adaptive", "paper"),
         help="adaptive (default): fewest FMU calls, no training set; "
         "paper (default with --n-train): screen on the surrogate, polish on the FMU",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--parallel",
-        type=values.whole(1, 64),
+        type=options.whole(1, 64),
         metavar="Q",
         help="adaptive: simulations per round; default: 1",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--from-stored",
         action="store_true",
         default=None,
         help="adaptive: begin with the stored simulations of this model",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--state-equations",
         action=argparse.BooleanOptionalAction,
         help="adaptive: learn state equations or not; default: yes if the FMU gives its states",
-    )
-    command.add_argument(
-        "--target", type=values.positive, metavar="MSE", help="adaptive: go on until this error"
-    )
-    options.add_sizes(command, "paper: training-set sizes; default: all that have a surrogate")
-    options.add_calls(
-        command, "most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"
-    )
+    ),
+    Option("--target", type=options.positive, metavar="MSE", help="adaptive: go on until this error"),
+    options.sizes("paper: training-set sizes; default: all that have a surrogate"),
+    *options.calls("most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

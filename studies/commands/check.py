@@ -21,13 +21,12 @@ from studies.commands import options
 from studies.commands.study import FAILED, OK, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    command.add_argument(
+OPTIONS = (
+    *options.CASE,
+    options.Option(
         "--thorough", action="store_true", help="skip no check, however long the simulations take"
-    )
+    ),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -15,18 +15,17 @@ Examples:
 import argparse
 from pathlib import Path
 
+from studies.commands.options import Option
 from studies.commands.study import OK
 from studies.console import Column, Console
 from studies.embedded import adopt_cases
-from studies.marker import mark_project
-from studies.paths import find_project
+from studies.paths import find_project, mark_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
+OPTIONS = (
+    Option(
         "file", metavar="FILE", help="a .mat file, an FMU that contains it, or a folder with the CSV files"
-    )
+    ),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

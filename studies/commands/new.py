@@ -18,37 +18,35 @@ Examples:
 import argparse
 
 from studies.commands import options
+from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument("fmu", metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0")
-    command.add_argument("--to", metavar="FOLDER", help="the case's folder; default: fmus/<name of the FMU>")
-    command.add_argument(
+OPTIONS = (
+    Option("fmu", metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0"),
+    Option("--to", metavar="FOLDER", help="the case's folder; default: fmus/<name of the FMU>"),
+    Option(
         "--output",
         nargs="+",
         action="extend",
         metavar="NAME",
         help="measured outputs; default: the first output",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--parameter",
         nargs="+",
         action="extend",
         metavar="NAME",
         help="parameters to calibrate: names or patterns like 'wall.*', also of inputs that are constant; "
         "default: those of the top level",
-    )
-    command.add_argument(
-        "--list", action="store_true", help="show the variables of the FMU and write nothing"
-    )
+    ),
+    Option("--list", action="store_true", help="show the variables of the FMU and write nothing"),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.new.terminal import list_variables, new_case
+    from studies.new.case_folder import list_variables, new_case
 
     paths = find_project(chosen.storage)
     if chosen.list:

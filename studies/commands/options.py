@@ -1,141 +1,207 @@
-"""Options that several commands share."""
+"""Options that several commands share, and what their words may be; anything else is refused in one line."""
 
 import argparse
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
 
-from studies.commands import values
+
+class Option:
+    """An option or argument of a command, as `argparse` adds it."""
+
+    def __init__(self, *names: str, **how: Any) -> None:
+        """Take what `add_argument` takes."""
+        self.names, self.how = names, how
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of the recording.
+
+    Attributes:
+        begin: Its begin. [unit]
+        end: Its end. [unit]
+        unit: s, min, h or d.
+    """
+
+    begin: float
+    end: float
+    unit: str = "d"
+
+    @property
+    def days(self) -> tuple[float, float]:
+        """Begin and end. [d]."""
+        # Here, because the command line imports nothing heavy.
+        from simulation.time_unit import UNITS
+
+        return UNITS[self.unit].to_days(self.begin), UNITS[self.unit].to_days(self.end)
+
+    @property
+    def label(self) -> str:
+        """How results of this window are distinguished: d8-16."""
+        return f"{self.unit}{_all_digits(self.begin)}-{_all_digits(self.end)}"
+
+    def __str__(self) -> str:
+        """Return what can be typed."""
+        return f"{_all_digits(self.begin)}-{_all_digits(self.end)}{'' if self.unit == 'd' else self.unit}"
+
+
+def _all_digits(value: float) -> str:
+    """Write a number without an exponent, which the reader of windows refuses."""
+    text = f"{Decimal(repr(value)):f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def window(text: str) -> Window:
+    """Read two ascending days, 0-10, or times of another unit, 0-10s."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)(s|min|h|d)?", text)
+    if found is None or float(found[1]) >= float(found[2]):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no window; give two ascending days, e.g. 0-10, or with a unit: 0-600s, 2-8h"
+        )
+    return Window(float(found[1]), float(found[2]), found[3] or "d")
+
+
+def whole(least: int, most: int = 1_000_000) -> Callable[[str], int]:
+    """Return a reader of whole numbers between two limits."""
+
+    def read(text: str) -> int:
+        if not re.fullmatch(r"\d+", text) or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+        if int(text) > most:
+            raise argparse.ArgumentTypeError(f"{text!r} is too large; give {most} at most")
+        return int(text)
+
+    return read
+
+
+def positive(text: str) -> float:
+    """Read a positive number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def address(text: str) -> str:
+    """Read the address of a Dask scheduler."""
+    if not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:\d+", text):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no scheduler's address; give e.g. tcp://scheduler:8786"
+        )
+    return text
+
 
 NATIVE_CODE = "an FMU is native code that runs with your rights; SECURITY.md says how to run one apart"
 
-
-def add_name(command: argparse.ArgumentParser) -> None:
-    """Which case, seed, and how many processes."""
-    command.add_argument(
+JOBS = Option("--jobs", type=whole(1), metavar="N", help="processes; default: the number of cores")
+NAME = (
+    Option(
         "case",
         nargs="?",
         default="office",
         metavar="CASE",
         help="name, file or folder of a case; default: office",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--seed",
-        type=values.whole(0, 2**32 - 1),
+        type=whole(0, 2**32 - 1),
         metavar="N",
         help="seed of all random numbers; default: the profile's",
-    )
-    add_jobs(command)
-
-
-def add_jobs(command: argparse.ArgumentParser) -> None:
-    """How many processes."""
-    command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
-    )
-
-
-def add_case(command: argparse.ArgumentParser) -> None:
-    """Which case, seed, budget, window, and how many processes."""
-    add_name(command)
-    command.add_argument(
+    ),
+    JOBS,
+)
+CASE = (
+    *NAME,
+    Option(
         "--profile",
         default="quick",
         metavar="NAME",
         help="budget: quick (default), thorough, paper, or a profile file",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--window",
-        type=values.window,
+        type=window,
         metavar="A-B",
         help="days of the recording, e.g. 8-16, or with a unit: 0-10s, 2-8h; default: the case's own",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--surrogate",
         choices=("refined", "paper", "pca-gp"),
         help="refined: a PELS-VAE of networks (default); paper: the same with the settings of the paper; "
         "pca-gp: PCA and Gaussian processes",
-    )
-
-
-def add_experiment(command: argparse.ArgumentParser, what: str) -> None:
-    """Which experiment of a case that has several."""
-    command.add_argument("--experiment", metavar="NAME", help=what)
-
-
-def add_simulation(command: argparse.ArgumentParser) -> None:
-    """Options of commands that simulate."""
-    command.add_argument("--retry-failed", action="store_true", help="retry failed simulations")
-    command.add_argument(
+    ),
+)
+SIMULATION = (
+    Option("--retry-failed", action="store_true", help="retry failed simulations"),
+    Option(
         "--dask",
-        type=values.address,
+        type=address,
         metavar="ADDRESS",
         help="simulate on a Dask cluster, e.g. tcp://scheduler:8786; default: on this machine",
+    ),
+)
+SIMULATED = (*CASE, *SIMULATION)
+TRIALS = (
+    Option("--trials", type=whole(1), metavar="N", help="trials per size in total; default: the profile's"),
+    Option("--dry-run", action="store_true", help="show the plan and its duration; write nothing"),
+)
+
+
+def experiment(help_line: str) -> Option:
+    """Return the option that names an experiment of a case that has several."""
+    return Option("--experiment", metavar="NAME", help=help_line)
+
+
+def sizes(help_line: str) -> Option:
+    """Return the option that names training-set sizes."""
+    return Option("--n-train", nargs="+", type=whole(4), metavar="N", help=help_line)
+
+
+def calls(help_line: str) -> tuple[Option, ...]:
+    """Return how many calls may be spent, and whether what is finished is repeated."""
+    return (
+        Option("--max-calls", type=whole(1), metavar="N", help=help_line),
+        Option("--again", action="store_true", help="repeat what is finished"),
     )
 
 
-def add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
-    """Training-set sizes."""
-    command.add_argument("--n-train", nargs="+", type=values.whole(4), metavar="N", help=help_line)
-
-
-def add_calibration(command: argparse.ArgumentParser) -> None:
-    """Which stored calibration."""
-    command.add_argument(
+CALIBRATION = (
+    Option(
         "--method",
         choices=("paper", "adaptive"),
         help="method of the calibration; default: adaptive if there is one",
-    )
-    add_sizes(command, "the calibration with this training-set size; default: the best")
-
-
-def add_trials(command: argparse.ArgumentParser) -> None:
-    """How many trials, or only what would be done."""
-    command.add_argument(
-        "--trials",
-        type=values.whole(1),
-        metavar="N",
-        help="trials per size in total; default: the profile's",
-    )
-    command.add_argument(
-        "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
-    )
-
-
-def add_tuning(command: argparse.ArgumentParser) -> None:
-    """How much is tuned."""
-    add_sizes(command, "training-set sizes; default: the profile's")
-    add_trials(command)
-    command.add_argument(
+    ),
+    sizes("the calibration with this training-set size; default: the best"),
+)
+TUNING = (
+    sizes("training-set sizes; default: the profile's"),
+    *TRIALS,
+    Option(
         "--parallel",
-        type=values.whole(1, 1000),
+        type=whole(1, 1000),
         metavar="N",
         help="trials of one size at the same time; default: 1, which makes the trials repeatable",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--max-hours",
-        type=values.positive,
+        type=positive,
         metavar="H",
         help="start no trial after H hours; the same command continues later",
-    )
-
-
-def add_calls(command: argparse.ArgumentParser, help_line: str) -> None:
-    """How many calls may be spent, and whether what is finished is repeated."""
-    command.add_argument("--max-calls", type=values.whole(1), metavar="N", help=help_line)
-    command.add_argument("--again", action="store_true", help="repeat what is finished")
-
-
-def add_storage(command: argparse.ArgumentParser) -> None:
-    """Database of Optuna's studies and MLflow's runs."""
-    command.add_argument(
+    ),
+)
+EVERYWHERE = (
+    Option(
         "--storage",
         metavar="URL",
         help="PostgreSQL database of Optuna and MLflow, e.g. postgresql://user@host/database; "
         "default: $STUDIES_STORAGE, else files in mlruns/",
-    )
-
-
-def add_output(command: argparse.ArgumentParser) -> None:
-    """Form and amount of the output."""
-    command.add_argument(
-        "--json", action="store_true", help="write one JSON document to stdout, all else to stderr"
-    )
-    command.add_argument("-q", "--quiet", action="store_true", help="write only results and errors")
+    ),
+    Option("--json", action="store_true", help="write one JSON document to stdout, all else to stderr"),
+    Option("-q", "--quiet", action="store_true", help="write only results and errors"),
+)

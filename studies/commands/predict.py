@@ -27,19 +27,17 @@ from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    options.add_simulation(command)
-    command.add_argument(
+OPTIONS = (
+    *options.SIMULATED,
+    options.Option(
         "--inputs",
         type=Path,
         metavar="FILE",
         help="CSV file with the columns of the inputs, or a folder of such files",
-    )
-    options.add_experiment(command, "the experiment to simulate, of a case with several")
-    options.add_calibration(command)
+    ),
+    options.experiment("the experiment to simulate, of a case with several"),
+    *options.CALIBRATION,
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

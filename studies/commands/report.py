@@ -14,10 +14,7 @@ from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
+OPTIONS = options.CASE
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

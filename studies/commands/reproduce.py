@@ -23,11 +23,10 @@ from studies.commands.study import FAILED, OK
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration")
-    options.add_jobs(command)
+OPTIONS = (
+    options.Option("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration"),
+    options.JOBS,
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -30,7 +30,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simulation.errors import InputError
-from studies.commands import options, values
+from studies.commands import options
+from studies.commands.options import Option
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console
 from studies.paper import ALIASES, DRAWN, ITEMS, NEEDS_FIG6
@@ -46,33 +47,30 @@ PROFILE = "thorough"
 BUDGET = "small"
 
 
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    names = ", ".join((*ITEMS, *ALIASES))
-    options.add_name(command)
-    options.add_trials(command)
-    command.add_argument("--only", nargs="+", metavar="ITEM", help=f"only these items: {names}")
-    command.add_argument("--budget", metavar="NAME", help="small (default) or full")
-    command.add_argument(
-        "--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"
-    )
-    command.add_argument(
-        "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
-    )
-    command.add_argument(
+OPTIONS = (
+    *options.NAME,
+    *options.TRIALS,
+    Option("--only", nargs="+", metavar="ITEM", help=f"only these items: {', '.join((*ITEMS, *ALIASES))}"),
+    Option("--budget", metavar="NAME", help="small (default) or full"),
+    Option("--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"),
+    Option(
+        "--seeds", type=options.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
+    ),
+    Option(
         "--from",
         dest="source",
         type=Path,
         metavar="FOLDER",
         help="with --only fig6, fig7 or table4: draw it from the files of an earlier run",
-    )
-    command.add_argument(
+    ),
+    Option(
         "--hyperparameters",
         type=Path,
         metavar="FOLDER",
         help="with fig7 or table4: take the best trials of Fig. 6 from here instead of tuning",
-    )
-    options.add_simulation(command)
+    ),
+    *options.SIMULATION,
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
@@ -168,7 +166,7 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     ) -> "Study":
         words = {
             "profile": profile or asked,
-            "window": None if window is None else values.Window(*window),
+            "window": None if window is None else options.Window(*window),
             "seed": seed,
             "n_train": list(n_train),
         }

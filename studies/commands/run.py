@@ -23,12 +23,11 @@ if TYPE_CHECKING:
     from studies.stages.pipeline import Outcome
 
 
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    options.add_simulation(command)
-    options.add_tuning(command)
-    options.add_calls(command, "most FMU calls of one polish; default: the profile's")
+OPTIONS = (
+    *options.SIMULATED,
+    *options.TUNING,
+    *options.calls("most FMU calls of one polish; default: the profile's"),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -24,11 +24,7 @@ from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    options.add_simulation(command)
+OPTIONS = options.SIMULATED
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -14,21 +14,18 @@ Examples:
 
 import argparse
 
+from studies.commands.options import Option
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
-        "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
-    )
+OPTIONS = (
+    Option("which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.project import read_project
-    from studies.study_status import status_blocks, status_document
+    from studies.project import read_project, status_blocks, status_document
 
     paths = find_project(chosen.storage)
     project = read_project(paths, chosen.which)

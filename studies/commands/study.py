@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError, MachineError
 from studies.console import Console
-from studies.marker import mark_project
-from studies.paths import ProjectPaths, find_case, find_project
+from studies.paths import ProjectPaths, find_case, find_project, mark_project
 
 if TYPE_CHECKING:
     from simulation.case import Case
-    from studies.commands.values import Window
+    from studies.commands.options import Window
     from studies.profile import Profile
     from studies.stages.pipeline import Outcome, Study
 
@@ -37,7 +36,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.pool.pool_model import available_cores
-    from studies.stages.one_case import refuse_other_case
+    from studies.stages.finished import refuse_other_case
     from studies.stages.pipeline import Study
 
     case, window = _load_case(file, chosen.window)

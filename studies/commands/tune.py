@@ -22,12 +22,10 @@ from studies.commands import options
 from studies.commands.study import OK, hand_over, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    options.add_simulation(command)
-    options.add_tuning(command)
+OPTIONS = (
+    *options.SIMULATED,
+    *options.TUNING,
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -18,25 +18,24 @@ import argparse
 import os
 from pathlib import Path
 
-from studies.commands import values
+from studies.commands import options
 from studies.console import Console
 from studies.paths import find_project
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    command.add_argument(
+OPTIONS = (
+    options.Option(
         "label",
         nargs="?",
         metavar="LABEL",
         help="label (<case>-<profile>) that is shown first; default: the latest",
-    )
-    command.add_argument(
+    ),
+    options.Option(
         "--port",
-        type=values.whole(1024, 65535),
+        type=options.whole(1024, 65535),
         metavar="N",
         help="port; default: 5000 or the next free port",
-    )
+    ),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

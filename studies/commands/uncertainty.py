@@ -27,19 +27,17 @@ from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Say what may be typed after the command."""
-    options.add_case(command)
-    options.add_simulation(command)
-    options.add_calibration(command)
-    command.add_argument(
+OPTIONS = (
+    *options.SIMULATED,
+    *options.CALIBRATION,
+    options.Option(
         "--noise",
         choices=("correlated", "white", "sensor"),
         default="correlated",
         help="model of the residuals; default: correlated",
-    )
-    options.add_calls(command, "most FMU calls; default: 20 per parameter, at least 100")
+    ),
+    *options.calls("most FMU calls; default: 20 per parameter, at least 100"),
+)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from studies.circumstances import CircumstanceModel
 from studies.doctor.declared import unit_problem
 from studies.doctor.finding import MORE_TIME, STOPPED, Finding, Level, finding, named
 from studies.report.figures_model import enclosed_fraction
-from studies.report.wording import difference_unit, percent, quantity, shown_unit, squared
+from studies.report.wording import percent, quantity, shown_unit, square_of
 
 N_CORNERS, N_COVERAGE = 32, 64
 DOCTOR_SEED = 12_345
@@ -66,7 +67,7 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     mse = float(case.measurement.mse(nominal.y)[0])
     series = list(zip(case.outputs, nominal.y[0].T, case.measurement.uncertainty, strict=True))
     ranges = [f"{one.name} from {y.min():.4g} to {y.max():.4g}{with_unit(one.unit)}" for one, y, _ in series]
-    unit = squared(difference_unit(case.outputs[0].unit))
+    unit = square_of(case.outputs[0].unit)
     error = f"{case.measurement.error_name} {quantity(mse, unit, 4)}"
     yield finding("estimates", "ok", error=error, ranges=", ".join(ranges))
     yield from named("outputs-still", [one.name for one, y, _ in series if np.ptp(y) <= SAME])
@@ -219,12 +220,10 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     changed = []
     for column, name in enumerate(scenario.input_names):
         variable = case.fmu.variables[name]
-        over_steps, at_edges = scenario.inputs.copy(), scenario.inputs_at_edges
-        over_steps[:, column] = changed_input(over_steps[:, column], variable)
-        if at_edges is not None:
-            at_edges = at_edges.copy()
-            at_edges[:, column] = changed_input(at_edges[:, column], variable)
-        other = replace(scenario, inputs=over_steps, inputs_at_edges=at_edges)
+        driving: list[Any] = [values.copy() for values in scenario.driving]
+        for values in driving:
+            values[:, column] = changed_input(values[:, column], variable)
+        other = replace(scenario, **dict(zip(("inputs", "inputs_at_edges"), driving, strict=False)))
         changed.append(replace(case.settings, scenario=other))
     return CircumstanceModel((case.settings, halved.settings, *changed), row)
 
@@ -258,7 +257,7 @@ def changed_input(values: FloatArray, variable: FmuVariable) -> FloatArray:
         other = next((number for number in known if number != values[0]), values[0] + 1.0)
         return np.full_like(values, other)
     shift = INPUT_SHARE * float(np.abs(values).max()) or 1.0
-    return np.asarray(values + shift)
+    return values + shift
 
 
 def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: Trajectories) -> Finding:

@@ -52,11 +52,6 @@ class Diagnosis:
         """Whether nothing failed."""
         return all(finding.level != "fail" for finding in self.findings)
 
-    @property
-    def has_failures(self) -> bool:
-        """Whether simulations failed that could be retried: what failed is a finding."""
-        return False
-
 
 @cache
 def _words() -> dict[str, dict[str, str]]:

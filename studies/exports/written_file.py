@@ -6,23 +6,26 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted
 from simulation.whole_file import whole_file
-from studies.best_models import best_by_label
-from studies.exports.calibrated_values import CalibratedValues, calibrated_values
-from studies.exports.start_values import as_fmu
-from studies.exports.value_texts import as_csv, as_json, as_modelica, as_ssv
+from studies.exports.calibrated_values import (
+    CalibratedValues,
+    as_csv,
+    as_fmu,
+    as_json,
+    as_modelica,
+    as_ssv,
+    calibrated_values,
+)
 from studies.paths import folder_name
-from studies.project import Project
+from studies.project import Project, best_by_label
 from studies.provenance import FILE, case_of, read_provenance
 from studies.stages.pipeline import read_json
-from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import run_store
+from studies.tracking.runs import load_surrogate, run_store
 
-OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
+OF_VALUES: dict[str, tuple[str, Callable[[CalibratedValues], bytes]]] = {
     "ssv": ("ssv", as_ssv),
     "modelica": ("mo", as_modelica),
     "csv": ("csv", as_csv),
@@ -30,7 +33,7 @@ OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
     "fmu": ("fmu", as_fmu),
 }
 """Ending of the file's name, and what it holds."""
-FORMATS: Final = (*OF_VALUES, "onnx")
+FORMATS = (*OF_VALUES, "onnx")
 
 
 def write_best(

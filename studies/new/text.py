@@ -7,11 +7,12 @@ import shlex
 from dataclasses import dataclass
 from functools import cache
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.new.choice import Choice, Times, bounds_for
+from studies.templates import environment
 
 MOST_SHOWN = 40
 """Commented entries of one kind; the rest is given as a number."""
@@ -84,15 +85,8 @@ def lines_to_edit(text: str) -> list[tuple[int, str]]:
 
 @cache
 def _environment() -> Environment:
-    """Return what fills the templates: text, not HTML, in which a missing name is an error."""
-    made = Environment(
-        loader=PackageLoader("studies", "new"),
-        undefined=StrictUndefined,
-        autoescape=False,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    """Return what fills the templates: text, not HTML."""
+    made = environment("new")
     made.globals |= {"bounds_for": bounds_for, "reals": REAL_KINDS, "temperatures": ("K", "degC", "°C")}
     made.filters |= {
         "toml": _toml,

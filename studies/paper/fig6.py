@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray
 from studies.paper.items import Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.report.figures_tuning import mae_over_n_figure
-from studies.report.records_tuning import ErrorLine, TrialsRecord
+from studies.report.figures_model import ErrorLine, TrialsRecord, mae_over_n_figure
 from studies.row_set import RowSet
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage
@@ -218,14 +216,15 @@ def importances_by_size(sizes: Sequence[SizeTrials]) -> dict[str, dict[str, floa
 
 def _record(sizes: Sequence[SizeTrials]) -> TrialsRecord:
     trials = [(size, trial) for size in sizes for trial in size.networks.trials]
-    return TrialsRecord(
-        n_train=np.array([size.n_train for size, _ in trials], dtype=np.int64),
-        state=tuple(trial.state for _, trial in trials),
-        validation_mae=_floats([trial.val_mae for _, trial in trials]),
-        test_mae=_floats([trial.test_mae for _, trial in trials]),
-        test_p90=_floats([trial.test_p90 for _, trial in trials]),
-        is_best=np.array([trial is size.networks.best for size, trial in trials]),
-    )
+    return TrialsRecord.of(
+        [
+            (
+                size.n_train, trial.state, trial.val_mae, trial.test_mae, trial.test_p90,
+                trial is size.networks.best,
+            )
+            for size, trial in trials
+        ]
+    )  # fmt: skip
 
 
 def _lines(sizes: Sequence[SizeTrials]) -> list[ErrorLine]:
@@ -235,17 +234,14 @@ def _lines(sizes: Sequence[SizeTrials]) -> list[ErrorLine]:
         ("faithful form, its best", {size.n_train: size.faithful for size in sizes}),
     ):
         best = {n: tuning.best for n, tuning in tunings.items() if tuning is not None}
-        mae, p90 = (_floats([getattr(one, key) for one in best.values()]) for key in ("test_mae", "test_p90"))
-        lines.append(ErrorLine(name, np.array(list(best), dtype=np.int64), mae, p90))
-    return [line for line in lines if len(line.n_train)]
+        errors = np.array([(one.test_mae, one.test_p90) for one in best.values()], dtype=np.float64)
+        if best:
+            lines.append(ErrorLine(name, np.array([*best]), *errors.T))
+    return lines
 
 
 def _known(error: float | None) -> float:
     return np.inf if error is None else error
-
-
-def _floats(values: Sequence[float | None]) -> FloatArray:
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def _mean_predictor(study: Study, simulated: Outcome[SimulatedSets]) -> dict[int, float]:

@@ -12,7 +12,7 @@ from studies.paper.plan import Plan
 from studies.paper.published import FIG_8_BEST, FIG_8_MEAN
 from studies.paper.table3 import SETTINGS, Start, computed
 from studies.report.drawing import BETWEEN_BOUNDS, SERIES, Axis, Figure, Panel, Series
-from studies.report.wording import difference_unit, squared
+from studies.report.wording import square_of
 
 N_CLUSTERS, N_LARGEST, BEST_SHARE = 10, 3, 0.05
 """The paper's numbers of centroids and of clusters shown, and its best 5 %."""
@@ -28,7 +28,7 @@ def run(plan: Plan) -> Shown:
     space, starts = study.case.parameter_space, found[0][1]
     u = space.to_unit(np.array([one.theta for one in starts]))
     best = np.argsort([one.mse for one in starts], kind="stable")[: _n_best(len(starts))]
-    unit = squared(difference_unit(study.case.outputs[0].unit))
+    unit = square_of(study.case.outputs[0].unit)
     return Shown(
         f"Fig. 8: optima of many starts; MSE [{unit}]",
         ("starts", "calls", "best MSE", "best 5 %", "median", "mean", "within 1 % of the best"),

@@ -30,7 +30,7 @@ from studies.calibration.recorder import Recorder
 from studies.paper.items import Shown
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_3
-from studies.report.wording import difference_unit, squared
+from studies.report.wording import square_of
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
 from studies.stages.saved import rebuilt
@@ -272,7 +272,7 @@ def run(plan: Plan) -> Shown:
     ]
     rows.append((replace(SETTINGS["LS-TRF"], seed=seed, in_unit_cube=True), None, None))
     found: Found = [(row, computed(study, row, folder), n_calls, mse) for row, n_calls, mse in rows]
-    unit = squared(difference_unit(study.case.outputs[0].unit))
+    unit = square_of(study.case.outputs[0].unit)
     return Shown(
         f"Table 3: optimizers on the FMU; of many starts the best; MSE [{unit}]",
         ("method", "calls", "MSE", "paper: calls", "paper: MSE"),

@@ -11,7 +11,7 @@ from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
 from studies.paper.items import Origin, Shown, origin_of, write_size
-from studies.paper.models import Chosen, Settings, chosen_settings, train_again
+from studies.paper.models import Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
 from studies.physical_model import open_physical_model
@@ -130,24 +130,20 @@ def run(plan: Plan) -> Shown:
         for n in study.profile.data.n_train:
             found = calibrated(study, n, chosen.settings[n])
             before = sizes[n].calibrations if n in sizes else ()
-            sizes[n] = _size(study, chosen, n, (*before, found))
+            sizes[n] = SizeCalibrations(
+                n_train=n,
+                surrogate=study.profile.tuning.surrogate,
+                settings=chosen.settings[n],
+                tuned_on_d=chosen.window_d,
+                screening=asdict(study.profile.screening),
+                max_calls=study.profile.polish.max_calls,
+                references=tuple(
+                    (known.label, known.mse, known.is_target) for known in study.case.references
+                ),
+                calibrations=(*before, found),
+            )
             write_size(plan.folder("table4"), origin, n, sizes[n])
     return shown(origin, list(sizes.values()))
-
-
-def _size(
-    study: Study, chosen: Chosen, n_train: int, calibrations: tuple[SeedCalibration, ...]
-) -> SizeCalibrations:
-    return SizeCalibrations(
-        n_train=n_train,
-        surrogate=study.profile.tuning.surrogate,
-        settings=chosen.settings[n_train],
-        tuned_on_d=chosen.window_d,
-        screening=asdict(study.profile.screening),
-        max_calls=study.profile.polish.max_calls,
-        references=tuple((known.label, known.mse, known.is_target) for known in study.case.references),
-        calibrations=calibrations,
-    )
 
 
 def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibration:
@@ -197,7 +193,7 @@ def paper_polish(study: Study, screened: FloatArray) -> PolishResult:
     )
     with open_physical_model(study) as model:
         problem = CalibrationProblem(model, study.case.measurement)
-        u = np.asarray(problem.space.to_unit(screened[None]), dtype=np.float64)
+        u = problem.space.to_unit(screened[None])
         return settings.minimize(problem, u[0], known=problem.evaluate(u))
 
 

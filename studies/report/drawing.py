@@ -231,7 +231,7 @@ def _cell(value: object) -> object:
 def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the layers of a series: its band, its marks, and its text."""
     of_series = {"transform": [{"filter": {"field": "series", "equal": series.name}}]}
-    x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
+    x, y = _position("x", panel.x), _position("y", panel.y)
     colored = {"color": {"datum": series.name, **color}}
     mark = {"type": series.mark, "clip": True, **series.style}
     parts = (
@@ -260,7 +260,7 @@ def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict
 
 def _values(panel: Panel, selection: str) -> dict[str, Any]:
     """Return a layer of points that are seen, with their values, only next to the pointer."""
-    x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
+    x, y = _position("x", panel.x), _position("y", panel.y)
     # Next to the pointer Vega-Lite finds a text only as a number with a format: that of charts.js keeps it.
     number, text = (
         {"type": "quantitative", "format": ",.4~g"},

@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.measurement import Measurement
+from simulation.measurement import Measurement, Samples
 from simulation.parameters import ParameterSpace
 from studies.report.drawing import (
     BETWEEN_BOUNDS,
@@ -83,17 +83,52 @@ def _outputs_over_time(
     lines.append((final, POLISHED, y))
     panels = []
     for k in range(len(case.outputs)):
-        panels += [_outputs(case, k, lines), _residuals(case, k, y)]
+        samples, at = case.measurement.samples[k], case.measurement.time
+        shown = _output(
+            case.outputs[k].name, output_axis(case, k), at, k, samples=samples, lines=lines, height=220
+        )
+        panels += [shown, _residuals(case, k, y)]
     return Figure(title, tuple(panels))
 
 
-def _outputs(case: Case, k: int, lines: Sequence[tuple[str, str, FloatArray]]) -> Panel:
-    axis, unit = time_axis(case.measurement.time)
-    time, samples = unit.of_seconds(case.measurement.time), case.measurement.samples[k]
-    dots = {"filled": True, "size": 14}
-    series = [Series("measured", MEASURED, unit.of_seconds(samples.time), samples.values, "point", dots)]
-    series += [Series(name, color, time, y[:, k]) for name, color, y in lines]
-    return Panel(case.outputs[k].name, axis, output_axis(case, k), series, 220)
+def _output(
+    name: str,
+    y: Axis,
+    time: FloatArray,
+    k: int,
+    *,
+    bands: tuple[FloatArray | None, FloatArray | None] = (None, None),
+    samples: Samples | None = None,
+    lines: Sequence[tuple[str, str, FloatArray]] = (),
+    size: int = 14,
+    height: int = 200,
+) -> Panel:
+    """Return the panel of an output over time.
+
+    Args:
+        name: Name of the output.
+        y: Its axis.
+        time: Times of bands and lines. Shape (t,). [s]
+        k: Its place in bands and lines.
+        bands: Measured values to be expected, and simulations of equally good parameter sets; None without
+            such. Shape (2, t, k). [per output]
+        samples: What was measured; None for nothing.
+        lines: Name, color and values. Shape (t, k). [per output]
+        size: Of a point.
+        height: Of the panel.
+    """
+    axis, unit = time_axis(time)
+    at = unit.of_seconds(time)
+    series = [
+        Series(what, color, at, low=band[0, :, k], high=band[1, :, k])
+        for what, color, band in zip(("with noise", "simulated"), (TRAINING, SIMULATED), bands, strict=True)
+        if band is not None
+    ]
+    if samples is not None:
+        dots, when = {"filled": True, "size": size}, unit.of_seconds(samples.time)
+        series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
+    series += [Series(name, color, at, values[:, k]) for name, color, values in lines]
+    return Panel(name, axis, y, series, height)
 
 
 def residual_reach(largest: float, uncertainty: float) -> float:
@@ -168,13 +203,11 @@ def band_figure(case: Case, found: Uncertainty) -> Figure:
         case: What was calibrated, against what.
         found: The uncertainty.
     """
-    axis, time_unit = time_axis(case.measurement.time)
-    at, dots, panels = time_unit.of_seconds(case.measurement.time), {"filled": True, "size": 10}, []
-    for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
-        series = _bands(at, found.predictive, found.simulated, k)
-        times = time_unit.of_seconds(samples.time)
-        series.append(Series("measured", MEASURED, times, samples.values, "point", dots))
-        panels.append(Panel(output.name, axis, output_axis(case, k), series))
+    bands, at = (found.predictive, found.simulated), case.measurement.time
+    panels = [
+        _output(output.name, output_axis(case, k), at, k, bands=bands, samples=samples, size=10)
+        for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True))
+    ]
     return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels))
 
 
@@ -185,37 +218,17 @@ def prediction_figure(found: Prediction, measurement: Measurement | None = None)
         found: The prediction.
         measurement: What was measured meanwhile; None for nothing.
     """
-    axis, time_unit = time_axis(found.time)
-    at, panels = time_unit.of_seconds(found.time), []
-    for k, (name, unit) in enumerate(zip(found.output_names, found.output_units, strict=True)):
-        series = _bands(at, found.predictive, found.simulated, k)
-        if measurement is not None:
-            samples, dots = measurement.samples[k], {"filled": True, "size": 14}
-            when = time_unit.of_seconds(samples.time)
-            series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
-        series.append(Series("calibrated", POLISHED, at, found.y[:, k]))
-        panels.append(Panel(name, axis, Axis(axis_label(name, shown_unit(unit))), series))
+    shown, lines = (found.predictive, found.simulated), [("calibrated", POLISHED, found.y)]
+    panels = [
+        _output(
+            name, Axis(axis_label(name, shown_unit(unit))), found.time, k, bands=shown,
+            samples=None if measurement is None else measurement.samples[k], lines=lines,
+        )
+        for k, (name, unit) in enumerate(zip(found.output_names, found.output_units, strict=True))
+    ]  # fmt: skip
     bands = "" if found.level is None else f", with {percent(found.level)} bands"
     driven = "other inputs" if measurement is None else "its recorded inputs"
     return Figure(f"The calibrated model with {driven}{bands}", tuple(panels))
-
-
-def _bands(
-    at: FloatArray, predictive: FloatArray | None, simulated: FloatArray | None, k: int
-) -> list[Series]:
-    """Return the bands of an output, the wider one first.
-
-    Args:
-        at: Times, in the axis's unit. Shape (t,).
-        predictive: Measured values to be expected, None without. Shape (2, t, k). [per output]
-        simulated: Simulations of equally good parameter sets, None without. Shape (2, t, k). [per output]
-        k: Place of the output.
-    """
-    return [
-        Series(what, color, at, low=band[0, :, k], high=band[1, :, k])
-        for what, color, band in (("with noise", TRAINING, predictive), ("simulated", SIMULATED, simulated))
-        if band is not None
-    ]
 
 
 def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:

@@ -1,16 +1,24 @@
-"""Pictures of the model: does a simulated set cover the measurement (Fig. 4), Sobol indices (Fig. 5)."""
+"""Pictures of model and surrogates: coverage (Fig. 4), Sobol indices (Fig. 5), errors of trials (Fig. 6)."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.case import Case
 from simulation.measurement import Measurement
 from studies.report.drawing import (
+    BEST_SURROGATE,
     INK,
+    LOG,
+    LOG2,
+    MUTED,
     SERIES,
     SIMULATED,
+    SURROGATE,
     TRAINING,
     Axis,
     Figure,
@@ -21,7 +29,7 @@ from studies.report.drawing import (
     with_gaps,
 )
 from studies.report.figures_calibration import output_axis
-from studies.report.wording import count, percent
+from studies.report.wording import axis_label, count, percent, significant
 from studies.sobol import SobolIndices
 
 N_SHOWN = 6
@@ -109,3 +117,121 @@ def sensitivity_figure(sensitivity: SobolIndices) -> Figure:
             name = f"{kind}, {shortened(output)}{undefined}"
             panels.append(Panel(name, axis, Axis("share of the variance [1]"), series))
     return Figure("Sobol indices over time", tuple(panels), shows_names=True)
+
+
+TrialRow = tuple[int, str, float | None, float | None, float | None, bool]
+
+
+@dataclass(frozen=True)
+class TrialsRecord:
+    """Every trial of every study, one entry per trial; NaN where an error is unknown.
+
+    Attributes:
+        n_train: Training-set size of the trial's study. Shape (m,).
+        state: "complete", "pruned", "failed" or "running" per trial, m entries.
+        validation_mae: For a pruned trial the last one reported. Shape (m,). [output unit, differences]
+        test_mae: Shape (m,). [output unit, differences]
+        test_p90: Shape (m,). [output unit, differences]
+        is_best: True for the trial chosen by validation error, at most one per size. Shape (m,).
+    """
+
+    n_train: IntArray
+    state: tuple[str, ...]
+    validation_mae: FloatArray
+    test_mae: FloatArray
+    test_p90: FloatArray
+    is_best: BoolArray
+
+    @classmethod
+    def of(cls, trials: Sequence[TrialRow]) -> "TrialsRecord":
+        """Collect trials: size, state, validation MAE, test MAE, test P90, and whether it is best."""
+        sizes, states, *errors, best = zip(*trials, strict=True)
+        validation, mae, p90 = np.array(errors, dtype=np.float64)  # NaN for None
+        return cls(np.array(sizes), states, validation, mae, p90, np.array(best))
+
+
+@dataclass(frozen=True)
+class ErrorLine:
+    """Test errors of another surrogate by training-set size, drawn as a line.
+
+    Attributes:
+        name: Which surrogate.
+        n_train: Training-set sizes, rising. Shape (s,).
+        mae: Shape (s,). [output unit, differences]
+        p90: 90th percentile of the absolute errors. Shape (s,). [output unit, differences]
+    """
+
+    name: str
+    n_train: IntArray
+    mae: FloatArray
+    p90: FloatArray
+
+
+def mae_over_n_figure(
+    trials: TrialsRecord,
+    *,
+    unit: str,
+    beside: Sequence[ErrorLine] = (),
+    published: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
+) -> Figure:
+    """Show every trial's test error over the training-set size, mean beside 90th percentile (Fig. 6).
+
+    Args:
+        trials: All trials; pruned ones are shown at their last validation error, failed ones counted.
+        unit: Unit of the errors, e.g. "K".
+        beside: At most two other surrogates, drawn as lines.
+        published: MAE that the paper names, by training-set size: one value, or least and largest. [unit]
+    """
+    x, panels = Axis("training simulations", LOG2, ticks=tuple(np.unique(trials.n_train).tolist())), []
+    for name, values, is_mae in (
+        ("Mean absolute error", trials.test_mae, True),
+        ("90th percentile over parameter sets", trials.test_p90, False),
+    ):
+        series = _trials(trials, values, is_mae=is_mae)
+        for line, color, dashes in zip(beside, (SERIES[2], SERIES[4]), ([1, 0], [4, 2]), strict=False):
+            errors = line.mae if is_mae else line.p90
+            series.append(Series(line.name, color, line.n_train, errors, style={"strokeDash": dashes}))
+        if is_mae and published:
+            sizes = [n for n, errors_there in published.items() for _ in errors_there]
+            found = [error for errors_there in published.values() for error in errors_there]
+            diamonds = {"shape": "diamond", "size": 60, "filled": False, "strokeWidth": 1.5}
+            series.append(Series("the paper", INK, sizes, found, "point", diamonds))
+        label = axis_label("error on the test set" if is_mae else "", unit)
+        panels.append(Panel(name, x, Axis(label, LOG), series, 280, has_legend=is_mae))
+    title = "Error of every trial over the number of training simulations"
+    return Figure(title, tuple(panels), columns=2, shows_names=True)
+
+
+def _trials(trials: TrialsRecord, values: FloatArray, *, is_mae: bool) -> list[Series]:
+    x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
+    complete = (state == "complete") & np.isfinite(values)
+    pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
+    best, n_failed = (
+        np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae)),
+        trials.state.count("failed"),
+    )
+    best = best[np.argsort(trials.n_train[best], kind="stable")]
+    name = count(complete.sum(), "complete trial") + (f" ({count(n_failed)} failed)" if n_failed else "")
+    series = [
+        Series(name, SURROGATE, x[complete], values[complete], "point", {"filled": True, "opacity": 0.6})
+    ]
+    if is_mae and pruned.any():
+        name, hollow = f"{count(pruned.sum())} pruned, at the last validation", {"filled": False}
+        series.append(Series(name, MUTED, x[pruned], trials.validation_mae[pruned], "point", hollow))
+    labels = [significant(float(value), 2) for value in values[best]]
+    star = {"point": {"shape": "diamond", "size": 70, "filled": True}, "strokeWidth": 1.2}
+    n_train = trials.n_train[best]
+    return [
+        *series,
+        Series("best by validation", BEST_SURROGATE, n_train, values[best], style=star, text=labels),
+    ]
+
+
+def _beside_each_other(trials: TrialsRecord) -> FloatArray:
+    """Spread trials of one size over a tenth of an octave each way, in their order. Shape (m,)."""
+    x = trials.n_train.astype(np.float64)
+    for size in np.unique(trials.n_train):
+        rows = np.flatnonzero(trials.n_train == size)
+        if len(rows) > 1:
+            x[rows] *= 2.0 ** np.linspace(-0.22, 0.22, len(rows))
+    return x

@@ -9,11 +9,13 @@ from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
+from simulation.arrays import FloatArray
 from simulation.whole_file import whole_file
 from studies.blocks import Table
-from studies.report.data import ReportData, best_of
 from studies.report.drawing import Figure
 from studies.report.figures_calibration import (
     band_figure,
@@ -22,10 +24,17 @@ from studies.report.figures_calibration import (
     interval_figure,
     validation_figure,
 )
-from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
-from studies.report.figures_tuning import mae_over_n_figure
+from studies.report.figures_model import (
+    TrialsRecord,
+    coverage_caption,
+    coverage_figure,
+    mae_over_n_figure,
+    sensitivity_figure,
+)
 from studies.report.sentences import calibration_sentences, headline, uncertainty_sentences
 from studies.report.tables import (
+    Calibrations,
+    best_of,
     calibrations_table,
     intervals_table,
     parameters_table,
@@ -34,8 +43,41 @@ from studies.report.tables import (
     validation_table,
 )
 from studies.report.wording import count, difference_unit, quantity, square_of
+from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome
-from studies.stages.stage_results import Calibration, Uncertainty
+from studies.stages.stage_results import Calibration, TunedSize, Uncertainty
+from studies.templates import environment
+
+if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
+    from simulation.case import Case
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything a report shows.
+
+    Attributes:
+        label: The study's label, e.g. "office-quick".
+        case: What was calibrated, against what.
+        calibrations: One per training-set size, the adaptive one first.
+        coverage: Trajectories of the training set, NaN in failed rows; None without. Shape (n, t, k).
+            [per output]
+        sensitivity: Sobol indices, if they were asked for.
+        tuned: The best surrogate of each training-set size.
+        trials: Every trial of the studies.
+        uncertainties: How sure the calibrations are, as far as that was asked.
+        commands: What made the results.
+    """
+
+    label: str
+    case: "Case"
+    calibrations: Calibrations = ()
+    coverage: FloatArray | None = None
+    sensitivity: SobolIndices | None = None
+    tuned: tuple[TunedSize, ...] = ()
+    trials: TrialsRecord | None = None
+    uncertainties: tuple[Uncertainty, ...] = ()
+    commands: tuple[str, ...] = ()
 
 
 def write_page(data: ReportData, file: Path) -> None:
@@ -45,19 +87,13 @@ def write_page(data: ReportData, file: Path) -> None:
         data: What to show.
         file: Where to; its folder is made.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    environment = Environment(
-        loader=PackageLoader("studies.report", ""), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
-    )  # fmt: skip
-    environment.filters["packed"] = _packed
+    templates = environment("report", escapes=True)
+    templates.filters["packed"] = _packed
     program = _library() + files("studies.report").joinpath("charts.js").read_text(encoding="utf-8")
     digest = base64.b64encode(sha256(program.encode()).digest()).decode("ascii")
     best = best_of(data.calibrations)
     lead = "Nothing has been calibrated yet." if best is None else f"{headline(data.case, best)}."
-    text = environment.get_template("page.html").render(
+    text = templates.get_template("page.html").render(
         data=data, lead=lead, sections=sections_of(data), program=Markup(program), digest=digest
     )
     with whole_file(file) as stream:

@@ -8,8 +8,6 @@ import numpy as np
 
 from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
-from studies.report.data import Calibrations, best_of
-from studies.report.records_tuning import TunedSize
 from studies.report.wording import (
     MISSING,
     bound_at,
@@ -26,7 +24,7 @@ from studies.report.wording import (
 )
 from studies.sobol import SobolIndices, mean_over_time
 from studies.stages.pipeline import Outcome
-from studies.stages.stage_results import Calibration, Uncertainty
+from studies.stages.stage_results import Calibration, TunedSize, Uncertainty
 
 if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
     from simulation.case import Case
@@ -40,7 +38,13 @@ HOW_KNOWN = {
     "prior": "as known before",
     "unsure": "too few calls",
 }
+Calibrations = tuple[Outcome[Calibration], ...]
 Columns = Sequence[tuple[Column, Callable[[Outcome[Calibration]], str]]]
+
+
+def best_of(calibrations: Calibrations) -> Outcome[Calibration] | None:
+    """Return the calibration of lowest MSE, of equals the cheapest; None without any."""
+    return min(calibrations, key=lambda one: (one.result.mse, one.result.n_calls_paper), default=None)
 
 
 def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:

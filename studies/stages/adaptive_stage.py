@@ -7,31 +7,27 @@ from pathlib import Path
 
 import numpy as np
 
+from simulation.case import Case
 from simulation.errors import InputError
 from simulation.pool.execution import commonest
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.learned_ode import LEAST_CALLS
+from studies.calibration.experiments_ode import learned_ode
+from studies.calibration.learned_ode import LEAST_CALLS, LearnedODE
 from studies.calibration.ledger import Ledger
 from studies.calibration.network_inputs import NetworkInputs
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
 from studies.calibration.row_choice import best_and_far
+from studies.calibration.states import StateSignals, why_unwatched
 from studies.console import OnBar
-from studies.physical_model import open_physical_model, open_watched_model, say_reused
+from studies.physical_model import StoredWatchedModel, open_physical_model, open_watched_model, say_reused
 from studies.report.wording import count, quantity, square_of
-from studies.stages.calibrated_point import calibration_at
-from studies.stages.equations_found import (
-    are_state_equations_learnt,
-    asked_twice,
-    equations_found,
-    learned_ode_of,
-)
+from studies.stages.calibrated_point import calibration_at, validation_inputs, with_validation
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
-from studies.stages.stage_results import ADAPTIVE, Calibration
+from studies.stages.stage_results import ADAPTIVE, Calibration, EquationsFound
 from studies.stages.stage_runs import log_calibration
-from studies.stages.validate import validation_inputs, with_validation
 from studies.stages.warm_start import ChooseRows, WarmStart, stored_in_box
 
 MAX_CALLS = 100
@@ -160,7 +156,7 @@ def calibrate_adaptively(
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)
     say_reused(study, STAGE, physical, n_repeated=n_read)
-    ledger = Ledger(n_adaptive=result.n_calls + asked_twice(physical))
+    ledger = Ledger(n_adaptive=result.n_calls + physical.n_asked_twice)
     found = calibration_at(
         study,
         physical,
@@ -230,4 +226,47 @@ def _hopeless(study: Study, physical: StoredModel) -> StageError:
     return StageError(
         f"none of {count(len(physical.failures), 'simulation')} succeeded, the first one: "
         f"{physical.failures[0]}; type: studies check {study.command}"
+    )
+
+
+def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
+    """Return whether a calibration learns state equations.
+
+    Args:
+        case: the case.
+        wish: what the user said, None for nothing: then it does where it can.
+
+    Raises:
+        InputError: the user wants it, and the FMU does not show its states.
+    """
+    if wish is None:
+        return not why_unwatched(case)
+    for one in case.experiments or (case,):
+        if wish:
+            StateSignals.of(one)
+    return wish
+
+
+def learned_ode_of(case: Case, physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:
+    """Return what learns the state equations of a problem, None where the states are not watched."""
+    if not isinstance(physical, StoredWatchedModel):
+        return None
+    return learned_ode(case, physical.watching, problem)
+
+
+def equations_found(ode: LearnedODE | None, physical: StoredModel) -> EquationsFound | None:
+    """Return what became of state equations; None where the states were not watched."""
+    if ode is None:
+        return None
+    unread = physical.why_unread
+    fails = f"the FMU fails where states are read ({unread}; --retry-failed asks again)"
+    return EquationsFound(
+        n_states=ode.n_states,
+        n_calls=ode.n_asked,
+        misfit=ode.misfit if np.isfinite(ode.misfit) else None,
+        hidden_inputs=tuple(ode.hidden_inputs),
+        error_at_best=ode.error_at_best if ode.is_believed else None,
+        are_believed=ode.is_believed,
+        why_not=None if ode.is_learnt else fails if unread else ode.why_not,
+        without_effect=tuple(ode.without_effect),
     )

@@ -11,16 +11,14 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
-from studies.stages.calibrated_point import calibration_at
+from studies.stages.calibrated_point import calibration_at, validation_inputs, with_validation
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.stage_results import Calibration, Screened
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
-from studies.stages.validate import validation_inputs, with_validation
 from studies.surrogate_model import SurrogateModel
-from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import run_store
+from studies.tracking.runs import load_surrogate, run_store
 from studies.tuning.study_results import TrialView, TunedStudy
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
@@ -143,7 +141,7 @@ def calibrate(
         history_calls=result.history.n_calls,
         history_mse=result.history.best_mse,
         screening=Screened(
-            theta=dict(zip(space.names, screened.theta[0].tolist(), strict=True)),
+            theta=space.named(screened.theta[0]),
             mse_surrogate=result.mse_surrogate,
             mse=float(screened.mse[0]),
             stop_reason=result.screen.stop_reason,

@@ -1,21 +1,29 @@
-"""What is said of a calibrated point without another simulation: fits of the outputs, open parameters.
+"""What is said of a calibrated point: fits of the outputs, open parameters, validation.
 
+The simulations of that period are a few per calibration and decide nothing: the ledger does not count them.
 `studies uncertainty` says how far open parameters may go.
 """
 
+import math
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
+from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.store.stored_model import StoredModel
+from simulation.trajectories import Trajectories
 from studies.calibration.prior import Prior
+from studies.physical_model import open_physical_model
+from studies.report.wording import difference_unit
 from studies.stages.knowledge import prior_found, prior_of
 from studies.stages.pipeline import Study
-from studies.stages.stage_results import Calibration, Determined, Fit
+from studies.stages.stage_results import Calibration, Determined, Fit, OutputFit, Validated, ValidatedPoint
 from studies.uncertainty.identifiability import judged_slopes
 from studies.uncertainty.noise import noise_of
 
@@ -46,7 +54,7 @@ def calibration_at(
     return Calibration(
         case=case.name,
         seed=study.profile.seed,
-        theta=dict(zip(names, theta.tolist(), strict=True)),
+        theta=case.parameter_space.named(theta),
         units={one.name: one.unit for one in case.parameter_space.parameters},
         output_unit=case.outputs[0].unit,
         error_name=case.measurement.error_name,
@@ -111,3 +119,106 @@ def determined(
             if n_times[one.first, one.second] == 1 and abs(one.strength) >= CLEAR_PAIR
         ),
     )
+
+
+def validate(
+    case: Case, model: ForwardModel, points: Mapping[str, FloatArray]
+) -> tuple[Validated, Trajectories]:
+    """Simulate parameter sets over the validation period of a case and compare them.
+
+    Args:
+        case: The case, with a validation period.
+        model: The model of the case `case.validation`.
+        points: Parameter sets by name. Shape (p,) each. [per parameter]
+
+    Returns:
+        How they do, and their simulations, from before the period on.
+    """
+    assert case.validation is not None, "asked of a case that has one"
+    measurement, window = case.validation.measurement, case.measurement
+    answer = model.simulate(np.stack(list(points.values())))
+    # A simulation that goes on after the window repeats the window first.
+    n_window = len(window.time)
+    is_later = not case.validation.experiments
+    has_window = is_later and np.array_equal(measurement.time[:n_window], window.time)
+    mse = measurement.mse(answer.y)
+    mse_window = window.mse(answer.y[:, :n_window]) if has_window else np.full(len(points), np.inf)
+    found = {
+        name: ValidatedPoint(
+            mse_window=float(mse_window[row]) if np.isfinite(mse_window[row]) else None,
+            mse=float(mse[row]) if np.isfinite(mse[row]) else None,
+            failure=answer.failures[row],
+            outputs={
+                output.name: output_fit(measurement, k, output.unit, answer.y[row])
+                for k, output in enumerate(case.validation.outputs)
+                if np.isfinite(mse[row])
+            },
+        )
+        for row, name in enumerate(points)
+    }
+    return Validated(case.validation.window_d, found), answer
+
+
+def with_validation(study: Study, found: Calibration, points: Mapping[str, FloatArray]) -> Calibration:
+    """Return a calibration with how it does on the validation period, unchanged where the case has none.
+
+    Args:
+        study: The study.
+        found: The calibration.
+        points: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
+    """
+    case = study.case
+    if case.validation is None:
+        return found
+    points = {**_estimates(case), **points}
+    with open_physical_model(study, case=case.validation) as model:
+        validated, answer = validate(case, model, points)
+    time = case.validation.measurement.from_first_sample.time
+    y = dict(zip(points, answer.y[:, -len(time) :], strict=True))
+    return replace(
+        found,
+        validation=validated,
+        validation_time=time,
+        validation_y=y[list(points)[-1]],
+        validation_y_screened=y.get("screened"),
+    )
+
+
+def validation_inputs(case: Case) -> dict[str, Any]:
+    """Return what a calibration depends on beyond the case where it is validated; empty where it is not."""
+    if case.validation is None:
+        return {}
+    inputs: dict[str, Any] = {"validation": [case.validation.digest, case.validation.measurement.digest]}
+    if estimates := _estimates(case):
+        inputs["estimates"] = estimates["estimate"].tolist()
+    return inputs
+
+
+def _estimates(case: Case) -> dict[str, FloatArray]:
+    """Return the point of the estimates where every parameter has one, none otherwise."""
+    known = [one.estimate for one in case.parameter_space.parameters if one.estimate is not None]
+    is_whole = len(known) == case.parameter_space.n_parameters
+    return {"estimate": np.array(known, dtype=np.float64)} if is_whole else {}
+
+
+def output_fit(measurement: Measurement, output: int, unit: str, y: FloatArray) -> OutputFit:
+    """Return how one output of a trajectory differs from its measurement.
+
+    CV(RMSE) is the root mean square difference over the size of the mean measured value, NMBE the mean
+    difference over it. Both sums are divided by n - 1, as in ASHRAE guideline 14 (2014).
+
+    Args:
+        measurement: What was measured.
+        output: Position of the output.
+        unit: Unit of the output.
+        y: The trajectory, finite. Shape (t, k). [units]
+    """
+    difference = measurement.differences(y[None], output)[0]
+    rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
+    values = measurement.samples[output].values
+    # Of what is negative where it is taken out, as cooling is, the size counts.
+    n, mean = len(values), abs(float(np.mean(values)))
+    is_temperature = difference_unit(unit) == "K" or unit == "degF"
+    if is_temperature or mean == 0.0 or n == 1:
+        return OutputFit(n, rmse, bias, None, None)
+    return OutputFit(n, rmse, bias, rmse / mean * math.sqrt(n / (n - 1)), bias / mean * n / (n - 1))

@@ -12,13 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from simulation.errors import InputError
 from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.profile import Profile
-from studies.provenance import provenance_of
+from studies.provenance import SCHEMA, Provenance, file_digest
 from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt, write_arrays
 from studies.stages.saved import read_json as read_json
 from studies.stages.saved import write_json as write_json
@@ -28,15 +28,6 @@ if TYPE_CHECKING:
     from simulation.case import Case
 
 
-class Result(Protocol):
-    """What a stage comes to: a frozen dataclass that terminal, page, MLflow and programs read alike."""
-
-    @property
-    def has_failures(self) -> bool:
-        """Whether simulations failed that `--retry-failed` would ask again."""
-
-
-R = TypeVar("R", bound=Result)
 T = TypeVar("T")
 
 
@@ -74,11 +65,38 @@ class Study:
     dask: str | None = None
     max_hours: float | None = None
 
-    def provenance(self, **made: Any) -> dict[str, Any]:
-        """Return what makes a result of this study again; `made` is its kind, and what the kind needs."""
-        return provenance_of(
-            self.case, self.profile, self.paths, label=self.label, command=self.typed, **made
+    def provenance(self, *, kind: str, **more: Any) -> dict[str, Any]:
+        """Return what makes a result of this study again, as JSON values.
+
+        Args:
+            kind: what the result is.
+            more: what this kind needs beyond case and profile.
+        """
+        # `studies status` reads results without the modules that simulate.
+        from simulation.case_reading import read_experiments
+
+        case, paths = self.case, self.paths
+        folder, files = case.path.parent, {case.path: None}
+        for declared in (one.file for one in read_experiments(case.path)):
+            names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
+            files |= dict.fromkeys(
+                [folder / declared.fmu, *(folder / declared.data / name for name in names)]
+            )
+        made = Provenance(
+            schema=SCHEMA,
+            kind=kind,
+            label=self.label,
+            command=self.typed,
+            case_file=paths.recorded(case.path),
+            case_text=case.path.read_text(encoding="utf-8-sig"),
+            case_digest=case.digest,
+            measurement_digest=case.measurement.digest,
+            files={paths.recorded(file.resolve()): file_digest(file) for file in files},
+            window_d=case.window_d,
+            profile=self.profile,
+            **more,
         )
+        return plain(made)
 
     @property
     def results(self) -> Path:
@@ -166,7 +184,7 @@ def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
 
 
 @dataclass(frozen=True)
-class Stage(Generic[R]):
+class Stage(Generic[T]):
     """A stage of a study, which is finished once its file `<name>.json` lies in the results folder.
 
     Args:
@@ -175,14 +193,14 @@ class Stage(Generic[R]):
         what: what is done, for the user.
         inputs: all that decides the result, as JSON values.
         kind: type of the result.
-        made: what makes it again beyond case and profile, see `provenance_of`; None where nothing does.
+        made: what makes it again beyond case and profile, see `Study.provenance`; None where nothing does.
     """
 
     study: Study
     name: str
     what: str
     inputs: Mapping[str, Any]
-    kind: type[R]
+    kind: type[T]
     made: Mapping[str, Any] | None = None
 
     @property
@@ -202,13 +220,13 @@ class Stage(Generic[R]):
 
     def once(
         self,
-        work: Callable[[], R],
+        work: Callable[[], T],
         *,
         again: bool = False,
         files: Sequence[Path] = (),
-        log: Callable[[Study, Outcome[R]], None] | None = None,
-        is_kept: Callable[[R], bool] = lambda result: True,
-    ) -> Outcome[R]:
+        log: Callable[[Study, Outcome[T]], None] | None = None,
+        is_kept: Callable[[T], bool] = lambda result: True,
+    ) -> Outcome[T]:
         """Return what the stage came to before, else do its work, write the result, and its run in MLflow.
 
         Args:
@@ -258,7 +276,7 @@ class Stage(Generic[R]):
             write_json(self.file, manifest)
         return outcome
 
-    def _finished(self, *, again: bool) -> Outcome[R] | None:
+    def _finished(self, *, again: bool) -> Outcome[T] | None:
         """Return what the stage came to before, and say so; None where it has to be done."""
         if again:
             self.file.unlink(missing_ok=True)
@@ -267,7 +285,7 @@ class Stage(Generic[R]):
         outcome = None
         with suppress(InputError):  # what cannot be read is done again
             outcome = read_outcome(self.study.results, self.name, self.kind)
-        if outcome is None or (self.study.retry_failed and outcome.result.has_failures):
+        if outcome is None or (self.study.retry_failed and getattr(outcome.result, "has_failures", False)):
             self.file.unlink(missing_ok=True)
             return None
         self.study.console.say(f"{self.name}: finished before")

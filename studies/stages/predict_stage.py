@@ -1,12 +1,11 @@
 """The stage that simulates a calibrated model with other inputs, with the bands of its uncertainty."""
 
-import csv
-import io
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from simulation.arrays import FloatArray
 from simulation.case import of_experiment
@@ -84,7 +83,7 @@ def predict_stage(
             noise = share * noise_of_outputs(known.noise, case.measurement)
             found = _with_bands(noise, found, known, y[1:])
         with whole_file(table) as stream:
-            stream.write(_as_csv(found))
+            stream.write(pd.DataFrame(dict(found.columns())).to_csv(index=False).encode())
         figure = prediction_figure(found, None if recording is not None else case.measurement)
         write_png(figure, picture, footnote=f"{study.label}, {source}")
         return found
@@ -107,12 +106,3 @@ def _with_bands(noise: FloatArray, found: Prediction, known: Uncertainty, y: Flo
         simulated=bands.simulated,
         predictive=bands.predictive,
     )
-
-
-def _as_csv(found: Prediction) -> bytes:
-    names, columns = zip(*found.columns(), strict=True)
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(names)
-    table.writerows(np.column_stack(columns).tolist())
-    return text.getvalue().encode()

@@ -5,8 +5,7 @@ from pathlib import Path
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from studies.provenance import file_digest
-from studies.report.data import ReportData
-from studies.report.page import write_page
+from studies.report.page import ReportData, write_page
 from studies.row_set import RowSet
 from studies.stages.finished import stored_calibrations, stored_indices, stored_uncertainties
 from studies.stages.pipeline import Outcome, Stage, Study, read_outcome

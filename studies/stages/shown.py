@@ -4,9 +4,14 @@ import math
 from collections.abc import Sequence
 
 from studies.calibration.misfit_threshold import SENSOR_UNCERTAINTIES
-from studies.report.data import best_of
 from studies.report.sentences import calibration_sentences, headline, uncertainty_sentences
-from studies.report.tables import calibrations_table, intervals_table, parameters_table, validation_table
+from studies.report.tables import (
+    best_of,
+    calibrations_table,
+    intervals_table,
+    parameters_table,
+    validation_table,
+)
 from studies.report.wording import count, difference_unit, quantity, square_of
 from studies.stages.check_stage import found_of_the_step
 from studies.stages.pipeline import Outcome, Study

@@ -1,15 +1,14 @@
 """What each stage comes to: one frozen dataclass, which terminal, page, MLflow and programs read alike."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
-from studies.report.records_tuning import TunedSize
 from studies.report.wording import count, listed, percent
 from studies.stages.saved import WITH_ARRAYS, Error
 from studies.uncertainty.findings import Compensation
@@ -88,6 +87,72 @@ class SimulatedSets:
 
 
 @dataclass(frozen=True)
+class TunedSize:
+    """What tuning came to for one training-set size; as JSON values it is what programs read.
+
+    Attributes:
+        label: Label of the study.
+        case: Name of the case.
+        n_train: Size of the training set.
+        study: Name of the Optuna study.
+        surrogate: Named form of the surrogate.
+        is_baseline: Whether it is the PCA + GP that is fitted for comparison.
+        unit: Of the errors.
+        n_planned: Trials the study shall have.
+        n_trials: Trials that have ended: complete, pruned and failed ones.
+        n_complete: Trials trained to their end.
+        n_pruned: Trials stopped early.
+        n_failed: Trials that failed.
+        n_running: Trials that run now.
+        n_waiting: Trials that wait.
+        n_proposed: Trials that the sampler proposed from results.
+        wall_s: Training time of all trials together. [s]
+        to_go_s: Training time of the trials to come, on one core; None before the first trial. [s]
+        gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
+        trial: Number of the best trial; None without a complete one, as all that follows.
+        run_id: MLflow's run of the best trial.
+        model_uri: Address by which MLflow loads the best surrogate; None for a baseline, too.
+        params: Hyperparameters of the best trial.
+        mae: Test MAE of the best trial. [unit]
+        p90: 90th percentile of its absolute test errors. [unit]
+        metrics: All errors of the best trial by name. [unit]
+        baseline: Errors of PCA + GP on the same sets by name; empty without. [unit]
+    """
+
+    label: str
+    case: str
+    n_train: int
+    study: str
+    surrogate: str
+    is_baseline: bool
+    unit: str
+    n_planned: int
+    n_trials: int
+    n_complete: int
+    n_pruned: int
+    n_failed: int
+    n_running: int
+    n_waiting: int
+    n_proposed: int
+    wall_s: float
+    to_go_s: float | None
+    gain: float | None
+    trial: int | None = None
+    run_id: str | None = None
+    model_uri: str | None = None
+    params: Mapping[str, Any] = field(default_factory=dict)
+    mae: float | None = None
+    p90: float | None = None
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    baseline: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def n_all(self) -> int:
+        """Trials that it has or shall have."""
+        return max(self.n_planned, self.n_trials + self.n_running + self.n_waiting)
+
+
+@dataclass(frozen=True)
 class Tuned:
     """The best surrogate of each training-set size.
 
@@ -107,11 +172,6 @@ class Reported:
     """
 
     index: str
-
-    @property
-    def has_failures(self) -> bool:
-        """Whether a simulation failed: it has none."""
-        return False
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,16 @@ from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.report.sentences import FITS_BETTER
 from studies.report.wording import count, listed
-from studies.stages.equations_found import learned_ode_of
+from studies.stages.adaptive_stage import learned_ode_of
 from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Outcome, Stage, StageError, Study
 from studies.stages.stage_results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
 from studies.stages.stage_runs import log_uncertainty
 from studies.stages.warm_start import WarmStart
-from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
+from studies.uncertainty.assess import STEP, Assessment, assess, particles_for, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
-from studies.uncertainty.emulator import particles_for
 from studies.uncertainty.findings import LEVEL, compensations, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
 from studies.uncertainty.rows import informative_rows
@@ -199,7 +198,7 @@ def _result(
             n_effective=found.n_effective,
             is_trusted=found.n_effective >= TRUSTED * n,
             best_mse=found.best_mse,
-            best_theta=dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
+            best_theta=space.named(space.from_unit(found.best_u)),
         ),
         outputs={
             output: Covered(

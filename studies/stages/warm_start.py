@@ -10,8 +10,8 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.physical_model import StoredWatchedModel
 from studies.stages.saved import read_arrays, write_arrays
-from studies.watched_model import StoredWatchedModel
 
 Worth = Callable[[Evaluation], FloatArray]
 """How much rows are worth, the best the most. Shape (n,)."""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import optuna
 from mlflow.exceptions import MlflowException
 
-from studies.tracking.registry import register_best
-from studies.tracking.runs import RunStore
+from studies.tracking.runs import RunStore, register_best
 from studies.tracking.trial_run import end_run
 from studies.tuning.declaration import Declaration
 

@@ -11,7 +11,7 @@ from optuna.storages import RDBStorage
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
-from studies.paths import ProjectPaths, cannot_open
+from studies.paths import ProjectPaths, opening
 from studies.tuning.attempts import run_again
 
 # Two heartbeats may be missed before a worker on another machine counts as dead.
@@ -28,29 +28,22 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
         InputError: the storage refuses or is no database of Optuna.
         MachineError: it does not answer.
     """
-    paths.mlruns.mkdir(parents=True, exist_ok=True)
-    try:
-        # Two processes that make the tables at the same moment would get in each other's way.
-        with FileLock(paths.mlruns / ".optuna.lock"):
-            if paths.storage is not None:
-                _prepare_schemas(paths.storage)
-            # Before Optuna opens it: the write-ahead log is a property of the file and stays with it.
-            elif not paths.optuna_database.is_file():
-                with closing(sqlite3.connect(paths.optuna_database)) as made:
-                    made.execute("pragma journal_mode=wal")
-            # SQLite has one writer at a time, for whom others wait; a server may close idle connections.
-            waits, asks = {"connect_args": {"timeout": 60}}, {"pool_pre_ping": True}
-            storage = RDBStorage(
-                paths.optuna_url,
-                engine_kwargs=waits if paths.storage is None else asks,
-                heartbeat_interval=HEARTBEAT_S,
-                grace_period=GRACE_S,
-                heartbeat_stale_trial_callback=run_again,
-            )
-    except (InputError, OSError):
-        raise
-    except Exception as error:
-        raise cannot_open(paths, "Optuna", paths.optuna_database, error) from None
+    with opening(paths, "Optuna", paths.optuna_database):
+        if paths.storage is not None:
+            _prepare_schemas(paths.storage)
+        # Before Optuna opens it: the write-ahead log is a property of the file and stays with it.
+        elif not paths.optuna_database.is_file():
+            with closing(sqlite3.connect(paths.optuna_database)) as made:
+                made.execute("pragma journal_mode=wal")
+        # SQLite has one writer at a time, for whom others wait; a server may close idle connections.
+        waits, asks = {"connect_args": {"timeout": 60}}, {"pool_pre_ping": True}
+        storage = RDBStorage(
+            paths.optuna_url,
+            engine_kwargs=waits if paths.storage is None else asks,
+            heartbeat_interval=HEARTBEAT_S,
+            grace_period=GRACE_S,
+            heartbeat_stale_trial_callback=run_again,
+        )
     if paths.storage is None:
         from sqlalchemy import event
 

@@ -9,9 +9,9 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
-from studies.report.records_tuning import TunedSize
 from studies.report.wording import difference_unit
 from studies.search_space import SearchSpace
+from studies.stages.stage_results import TunedSize
 from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
 from studies.tuning.storage import storage_of

@@ -28,8 +28,7 @@ from studies.paths import ProjectPaths, find_project
 from studies.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
 from studies.tracking.origin import environment
-from studies.tracking.registry import SURROGATE
-from studies.tracking.runs import RunStore
+from studies.tracking.runs import SURROGATE, RunStore
 from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place

@@ -121,7 +121,7 @@ def sample_density(
     *,
     seed: int,
     n_particles: int,
-    on_share: OnShare | None = None,
+    on_share: OnShare = lambda share: None,
 ) -> FloatArray:
     """Sample a density over the unit cube.
 
@@ -137,8 +137,7 @@ def sample_density(
     Returns:
         Points of equal weight, in no order. Shape (n, p). [1]
     """
-    report = on_share or (lambda share: None)
-    return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(report)
+    return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(on_share)
 
 
 class _Annealing:
@@ -171,8 +170,7 @@ class _Annealing:
                 on_share((1.0 - LAST_SHARE) * power + LAST_SHARE * last)
                 self._sweep()
         # Resampling leaves copies side by side, and a sample takes its members from the front.
-        found: FloatArray = ndtr(self._cloud[self._rng.permutation(len(self._cloud)), :-2])
-        return found
+        return ndtr(self._cloud[self._rng.permutation(len(self._cloud)), :-2])
 
     def _at(self, z: FloatArray) -> FloatArray:
         """Ask what is known of points; the reference no longer where it does not count."""
@@ -239,5 +237,4 @@ def _drawn(weights: FloatArray, rng: np.random.Generator) -> IntArray:
     # Systematic resampling (Kitagawa 1996): by one random number, so copies differ from n w by less than 1.
     at = (np.arange(n) + rng.random()) / n
     # Rounding may leave the sum of all weights just below the last position.
-    found: IntArray = np.minimum(np.searchsorted(np.cumsum(weights), at), n - 1)
-    return found
+    return np.minimum(np.searchsorted(np.cumsum(weights), at), n - 1)

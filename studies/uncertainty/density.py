@@ -97,7 +97,7 @@ def roots_of(precision: FloatArray) -> FloatArray:
     upper = np.linalg.qr(half.transpose(0, 2, 1))[1]
     # QR leaves the signs open; a Cholesky factor has a positive diagonal, whose logarithm is taken later.
     signs = np.sign(np.diagonal(upper, axis1=1, axis2=2))
-    return np.asarray((upper * np.where(signs == 0.0, 1.0, signs)[:, :, None]).transpose(0, 2, 1))
+    return (upper * np.where(signs == 0.0, 1.0, signs)[:, :, None]).transpose(0, 2, 1)
 
 
 class Predicted:

@@ -85,17 +85,13 @@ class Identifiability:
         return tuple(n for n, is_so in zip(self.names, self.spread < limit, strict=True) if is_so)
 
     @property
-    def n_determined_directions(self) -> int:
-        """Combinations of parameters that the data determine."""
-        # Noise over singular value is a direction's deviation; multiplied out, a value of 0 divides nothing.
-        return int(np.sum(self.noise < DETERMINED * self.singular_values))
-
-    @property
     def pairs(self) -> tuple[Pair, ...]:
         """Pairs that the data cannot distinguish: the directions left open that two parameters make up."""
         found = []
+        # Noise over singular value is a direction's deviation; multiplied out, a value of 0 divides nothing.
+        n_determined = int(np.sum(self.noise < DETERMINED * self.singular_values))
         # The least determined direction comes first: singular values fall.
-        for direction in self.directions[self.n_determined_directions :][::-1]:
+        for direction in self.directions[n_determined:][::-1]:
             i, j = np.argsort(-(direction**2))[:2] if len(direction) > 1 else (0, 0)
             share = float(direction[i] ** 2 + direction[j] ** 2)
             # Both must matter: a parameter alone that moves nothing compensates none.
@@ -228,5 +224,4 @@ def _slopes(answer: Evaluation) -> FloatArray:
     (ahead, above), (behind, below) = ends
     # Where both sides failed the slope becomes 0 / 1, not 0 / 0.
     width = np.where(ahead > behind, ahead - behind, 1.0)
-    slopes: FloatArray = (above - below) / width[:, None]
-    return slopes
+    return (above - below) / width[:, None]

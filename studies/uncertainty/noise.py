@@ -16,7 +16,7 @@ doi:10.1093/biomet/58.3.545); put back, both give n and s.
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from studies.calibration.prior import independent_samples as declared_independen
 from studies.calibration.prior import worth_of
 
 NoiseKind = Literal["correlated", "white", "sensor"]
-NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 
 # With as many parameters as independent samples the correction would divide by 0.
 MOST_TAKEN = 0.5
@@ -67,8 +66,7 @@ class Noise:
             Shape (n,). [1]
         """
         # Normal: Student's t, with the size left open, gave no better shares for 168 instead of 124 calls.
-        value: FloatArray = -0.5 * self.n_independent / self.deviation**2 * mse
-        return value
+        return -0.5 * self.n_independent / self.deviation**2 * mse
 
 
 def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_parameters: int) -> Noise:

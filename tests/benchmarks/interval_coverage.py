@@ -15,7 +15,7 @@ import sys
 import tempfile
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from studies.calibration.experiments_ode import learned_ode, watched_model  # no
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.calibration.states import WatchedModel, watching_states  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
-from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
+from studies.uncertainty.noise import NoiseKind, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402
 
 
@@ -121,7 +121,9 @@ def main() -> None:
         "--rho", type=float, default=0.0, help="correlation of the noise from sample to sample"
     )
     parser.add_argument("--scale", type=float, default=1.0, help="noise over the sensor's uncertainty")
-    parser.add_argument("--noise", choices=NOISE_KINDS, default="correlated", help="what it is taken for")
+    parser.add_argument(
+        "--noise", choices=get_args(NoiseKind), default="correlated", help="what it is taken for"
+    )
     parser.add_argument("--experiments", type=int, help="how many of --days; default: the case's window")
     parser.add_argument("--days", type=float, default=0.75, help="length of an experiment")
     parser.add_argument("--max-calls", type=int, default=100, help="of each assessment")

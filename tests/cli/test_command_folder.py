@@ -32,7 +32,7 @@ def run(chosen, console):
     return 0
 
 if __name__ == "__main__":
-    words = SimpleNamespace(run=run, __doc__="Help.", add_options=lambda command: None)
+    words = SimpleNamespace(run=run, __doc__="Help.", OPTIONS=())
     studies.cli.command_module = lambda name: words
     sys.argv[1:] = ["status"]
     sys.exit(studies.cli.main())

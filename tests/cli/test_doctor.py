@@ -10,11 +10,11 @@ from bad_cases_for_tests import counted, make_bad_case
 from project_for_tests import Answer, Run
 
 from simulation.case import load_case
-from simulation.case_reading import read_case_file
+from simulation.case_reading import read_experiments
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import look_at_order
 from studies.doctor.declared import look_at_data
-from studies.doctor.time_budget import EXAMINATION_S, TimeBudget
+from studies.doctor.examination import EXAMINATION_S, TimeBudget
 
 EXAMINED = {
     "names, units, bounds",
@@ -197,7 +197,7 @@ def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
 ) -> None:
     # One cell of half an hour is many values where inputs are interpolated.
     case = load_case(project / "fmus" / "office")
-    (recording,) = {one.file for one in read_case_file(case.path).inputs if one.name == "TAmb"}
+    (recording,) = {one.file for one in read_experiments(case.path)[0].file.inputs if one.name == "TAmb"}
     file = project / "data" / "office" / recording
     header, *lines = file.read_text(encoding="utf-8").splitlines()
     cells = lines[100].split(",")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from project_for_tests import Run
 
-from simulation.case_reading import read_case_file
+from simulation.case_reading import read_experiments
 from simulation.errors import InputError
 from simulation.foreign_text import MOST_QUOTED
 from studies.paths import ProjectPaths
@@ -62,7 +62,7 @@ def test_a_case_of_such_a_name_is_refused(project: Path, studies: Run, name: str
 def test_messages_about_files_are_short(tmp_path: Path, content: str) -> None:
     file = tmp_path / "file.toml"
     file.write_text(content, encoding="utf-8")
-    for read in (read_case_file, lambda place: load_profile(str(place))):
+    for read in (read_experiments, lambda place: load_profile(str(place))):
         with pytest.raises(InputError) as found:
             read(file)
         assert len(str(found.value).replace(f"{file}", "")) < 5 * MOST_QUOTED

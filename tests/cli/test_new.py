@@ -10,7 +10,7 @@ import pytest
 from project_for_tests import Run
 
 from simulation.case import load_case
-from simulation.case_reading import read_case_file
+from simulation.case_reading import read_experiments
 
 HEAD_2 = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -111,7 +111,7 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
 ) -> None:
     assert studies("new", str(room)).code == 0
     file = project / "fmus" / "my-room-v2" / "case.toml"
-    assert len(read_case_file(file).parameters) == 2
+    assert len(read_experiments(file)[0].file.parameters) == 2
     lines = file.read_text(encoding="utf-8").splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith("# Further outputs"))
     end = next(i for i, line in enumerate(lines) if line.startswith("[fixed]"))
@@ -128,7 +128,7 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
         ]
     )
     file.write_text(text, encoding="utf-8")
-    everything = read_case_file(file)
+    everything = read_experiments(file)[0].file
     assert {table.name for table in everything.outputs} == {"T", "Q"}
     assert {table.name for table in everything.parameters} == {"UA", "T0", "wall.k", "wall.d[1]", "offset"}
     assert everything.fixed["n.windows"] == 3

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.commands.values import window
+from studies.commands.options import window
 from studies.profile import load_profile, profile_names
 
 

@@ -28,8 +28,7 @@ from studies.profile import PROFILE_FOLDER
 from studies.project import read_project
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.quiet_mlflow import connect
-from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import RunStore
+from studies.tracking.runs import RunStore, load_surrogate
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"

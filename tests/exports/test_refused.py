@@ -6,7 +6,7 @@ import pytest
 
 from simulation.errors import InputError
 from studies.cli import main
-from studies.exports.value_texts import identifiers
+from studies.exports.calibrated_values import identifiers
 
 
 @pytest.fixture(autouse=True)

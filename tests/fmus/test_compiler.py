@@ -77,7 +77,7 @@ WRONG_EVENTS = {
 
 @pytest.mark.parametrize("name", WRONG_EVENTS)
 def test_events_that_are_not_understood_are_one_clear_line(build, name):
-    from fmus.compiler.compile_error import CompileError
+    from fmus.compiler.settings import CompileError
 
     equation, settings, message = WRONG_EVENTS[name]
     with pytest.raises(CompileError, match=message) as caught:
@@ -87,7 +87,7 @@ def test_events_that_are_not_understood_are_one_clear_line(build, name):
 
 @pytest.mark.parametrize("name", WRONG_MODELS)
 def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
-    from fmus.compiler.compile_error import CompileError
+    from fmus.compiler.settings import CompileError
 
     source, message = WRONG_MODELS[name]
     with pytest.raises(CompileError, match=message) as caught:
@@ -104,7 +104,7 @@ def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
     ],
 )
 def test_a_wrong_build_file_is_one_clear_line(build, settings, message):
-    from fmus.compiler.compile_error import CompileError
+    from fmus.compiler.settings import CompileError
 
     with pytest.raises(CompileError, match=message) as caught:
         build(COOLING, settings)

@@ -4,14 +4,14 @@ import office_equations as reference
 import pytest
 from fmu_for_tests import REPOSITORY
 
-from simulation.case_reading import read_case_file
+from simulation.case_reading import read_experiments
 
 FMUS = REPOSITORY / "fmus"
 
 
 @pytest.mark.parametrize("name", ["office", "office-recorded", "office-authors"])
 def test_parameters_are_those_of_the_paper(name):
-    case = read_case_file(FMUS / name / "case.toml")
+    case = read_experiments(FMUS / name / "case.toml")[0].file
     found = [(p.name, p.estimate, p.lower, p.upper, p.unit) for p in case.parameters]
     expected = [list(row) for row in reference.TABLE]
     if name == "office-authors":
@@ -25,7 +25,9 @@ def test_parameters_are_those_of_the_paper(name):
 
 
 def test_the_recorded_case_differs_from_the_default_in_its_data_alone():
-    office, recorded = (read_case_file(FMUS / name / "case.toml") for name in ("office", "office-recorded"))
+    office, recorded = (
+        read_experiments(FMUS / name / "case.toml")[0].file for name in ("office", "office-recorded")
+    )
     assert recorded.data == "../../data/office-recorded"
     own = {"name", "title", "note", "fmu", "data", "data_origin", "references"}
     assert office.model_dump(exclude=own) == recorded.model_dump(exclude=own)

@@ -10,8 +10,7 @@ from simulation.errors import InputError
 from studies import entry
 from studies.cli import main
 from studies.console import Console
-from studies.marker import mark_project
-from studies.paths import ProjectPaths, find_case, find_project
+from studies.paths import ProjectPaths, find_case, find_project, mark_project
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 WALL = REPOSITORY / "fmus" / "wall" / "Wall.fmu"

@@ -29,8 +29,12 @@ from studies.report.figures_calibration import (
     interval_figure,
     validation_figure,
 )
-from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
-from studies.report.figures_tuning import mae_over_n_figure
+from studies.report.figures_model import (
+    coverage_caption,
+    coverage_figure,
+    mae_over_n_figure,
+    sensitivity_figure,
+)
 from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 FIGURES: dict[str, Callable[[], Figure]] = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulation.measurement import Measurement
-from studies.report.output_fit import output_fit
+from studies.stages.calibrated_point import output_fit
 from studies.stages.stage_results import OutputFit
 
 

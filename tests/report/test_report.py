@@ -24,8 +24,7 @@ from records_for_tests import (
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.blocks import Table
-from studies.report.data import ReportData
-from studies.report.page import write_page
+from studies.report.page import ReportData, write_page
 from studies.report.sentences import calibration_sentences
 from studies.report.tables import (
     calibrations_table,

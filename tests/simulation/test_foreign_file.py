@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from simulation import InputError
-from simulation.case_reading import read_case_file
+from simulation.case_reading import read_experiments
 from simulation.fmi.description import read_description
 from simulation.foreign_file import (
     CASE,
@@ -25,7 +25,7 @@ from studies.profile import load_profile
 
 SOON_S, SMALL_MB = 5.0, 200.0
 READERS: dict[str, Callable[[Path], object]] = {
-    "case": read_case_file,
+    "case": read_experiments,
     "profile": lambda path: load_profile(str(path)),
     "recording": lambda path: read_recording(path, ["a"]),
     "FMU": read_description,

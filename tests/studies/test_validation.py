@@ -9,7 +9,7 @@ import pytest
 
 from simulation.case import Case, load_case
 from simulation.counting import CountingModel
-from studies.stages.validate import validate
+from studies.stages.calibrated_point import validate
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

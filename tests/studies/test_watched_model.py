@@ -18,7 +18,7 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from studies.calibration.states import StateSignals
-from studies.watched_model import StoredWatchedModel
+from studies.physical_model import StoredWatchedModel
 
 TOY = ToyRC(fails_above_r=4.0)
 WALL = load_case(Path(__file__).parents[2] / "fmus" / "wall")
@@ -83,7 +83,7 @@ def test_what_it_answers_is_everybodys_and_asked_once(opened: Open) -> None:
     assert (watched.n_calls, plain.n_calls) == (6, 0)
     assert model.failures == [TOY.simulate(rows(1, fail=True)).failures[0]]
     assert model.watched(theta).tolist() == [True] * 5 + [False]
-    assert model.seen(theta).x[:5, 0, 0].tolist() == theta[:5, 0].tolist()
+    assert model.watching.seen(theta).x[:5, 0, 0].tolist() == theta[:5, 0].tolist()
     again, plain, _ = opened(True)
     assert again.simulate(theta).digest == TOY.simulate(theta).digest
     assert (again.n_simulated, again.n_reused, plain.n_calls) == (0, 6, 0)
@@ -97,7 +97,7 @@ def test_states_that_cannot_be_read_cost_two_rows(opened: Open) -> None:
     assert (watched.n_calls, plain.n_calls, model.n_asked_twice) == (3, 7, 3)
     assert model.why_unread == "no such variable"
     assert len(model.failures) == 1
-    assert np.isnan(model.seen(theta).x).all()
+    assert np.isnan(model.watching.seen(theta).x).all()
     again, plain, watched = opened(False)
     assert again.simulate(theta).digest == TOY.simulate(theta).digest
     assert (watched.n_calls, plain.n_calls, again.n_asked_twice) == (0, 0, 3)

@@ -24,8 +24,7 @@ from toy_study_for_tests import (
 from studies.paths import ProjectPaths
 from studies.tracking.artifacts import ProjectArtifacts
 from studies.tracking.quiet_mlflow import connect
-from studies.tracking.registry import load_surrogate
-from studies.tracking.runs import RunStore
+from studies.tracking.runs import RunStore, load_surrogate
 from studies.tuning.storage import open_storage
 from studies.tuning.study_results import read_studies
 from studies.tuning.tune_studies import tune
