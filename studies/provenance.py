@@ -98,7 +98,7 @@ def provenance_of(
 
     folder, files = case.path.parent, {case.path: None}
     for declared in (one.file for one in read_experiments(case.path)):
-        names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
+        names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs if one.file]
         files |= dict.fromkeys([folder / declared.fmu, *(folder / declared.data / name for name in names)])
     made = Provenance(
         schema=SCHEMA,

@@ -90,10 +90,24 @@ def _outputs_over_time(
 def _outputs(case: Case, k: int, lines: Sequence[tuple[str, str, FloatArray]]) -> Panel:
     axis, unit = time_axis(case.measurement.time)
     time, samples = unit.of_seconds(case.measurement.time), case.measurement.samples[k]
-    dots = {"filled": True, "size": 14}
-    series = [Series("measured", MEASURED, unit.of_seconds(samples.time), samples.values, "point", dots)]
+    dots, series = {"filled": True, "size": 14}, limit_lines(case.measurement, k)
+    if k in case.measurement.measured:
+        at = unit.of_seconds(samples.time)
+        series.append(Series("measured", MEASURED, at, samples.values, "point", dots))
     series += [Series(name, color, time, y[:, k]) for name, color, y in lines]
     return Panel(case.outputs[k].name, axis, output_axis(case, k), series, 220)
+
+
+def limit_lines(measurement: Measurement, output: int) -> list[Series]:
+    """Return the limits of an output as lines from left to right; none where it has none.
+
+    Args:
+        measurement: What simulations are compared with.
+        output: Position of the output.
+    """
+    limits = measurement.limits_of(output)
+    ends = {} if limits is None else {"at least": limits.at_least, "at most": limits.at_most}
+    return [Series(name, SCREENED, y=[end], mark="rule") for name, end in ends.items() if math.isfinite(end)]
 
 
 def residual_reach(largest: float, uncertainty: float) -> float:
@@ -171,9 +185,10 @@ def band_figure(case: Case, found: Uncertainty) -> Figure:
     axis, time_unit = time_axis(case.measurement.time)
     at, dots, panels = time_unit.of_seconds(case.measurement.time), {"filled": True, "size": 10}, []
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
-        series = _bands(at, found.predictive, found.simulated, k)
-        times = time_unit.of_seconds(samples.time)
-        series.append(Series("measured", MEASURED, times, samples.values, "point", dots))
+        series = [*_bands(at, found.predictive, found.simulated, k), *limit_lines(case.measurement, k)]
+        if k in case.measurement.measured:
+            times = time_unit.of_seconds(samples.time)
+            series.append(Series("measured", MEASURED, times, samples.values, "point", dots))
         panels.append(Panel(output.name, axis, output_axis(case, k), series))
     return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels))
 
@@ -190,9 +205,11 @@ def prediction_figure(found: Prediction, measurement: Measurement | None = None)
     for k, (name, unit) in enumerate(zip(found.output_names, found.output_units, strict=True)):
         series = _bands(at, found.predictive, found.simulated, k)
         if measurement is not None:
+            series += limit_lines(measurement, k)
             samples, dots = measurement.samples[k], {"filled": True, "size": 14}
             when = time_unit.of_seconds(samples.time)
-            series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
+            if k in measurement.measured:
+                series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
         series.append(Series("calibrated", POLISHED, at, found.y[:, k]))
         panels.append(Panel(name, axis, Axis(axis_label(name, shown_unit(unit))), series))
     bands = "" if found.level is None else f", with {percent(found.level)} bands"

@@ -4,6 +4,7 @@
 """
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from simulation.case import Case
 from simulation.measurement import Measurement
 from simulation.store.stored_model import StoredModel
 from studies.calibration.prior import Prior
+from studies.report.output_fit import output_fit
 from studies.stages.knowledge import prior_found, prior_of
 from studies.stages.pipeline import Study
 from studies.stages.stage_results import Calibration, Determined, Fit
@@ -72,9 +74,17 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
     found = {}
     for k, output in enumerate(case.outputs):
         difference = case.measurement.differences(y[None], k)[0]
-        rmse, sensor = float(np.sqrt(np.mean(difference**2))), float(case.measurement.uncertainty[k])
-        share = float(np.mean(np.abs(difference) <= sensor))
-        found[output.name] = Fit(rmse, sensor, share) if np.isfinite(sensor) else Fit(rmse)
+        sensor = float(case.measurement.uncertainty[k])
+        whole = output_fit(case.measurement, k, output.unit, y)
+        fit = Fit(whole.rmse, nrmse=whole.nrmse, cv_rmse=whole.cv_rmse)
+        if np.isfinite(sensor):
+            share = float(np.mean(np.abs(difference) <= sensor))
+            fit = replace(fit, uncertainty=sensor, share_within=share)
+        if case.measurement.limits_of(k) is not None:
+            excess = case.measurement.excess(y[None], k)[0]
+            largest, share = float(excess[np.argmax(np.abs(excess))]), float(np.mean(excess != 0.0))
+            fit = replace(fit, largest_excess=largest, share_beyond=share)
+        found[output.name] = fit
     return found
 
 
