@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from made_once import made_once
 from project_for_tests import Run, add_case, copy_of, make_calibrated_wall
+from test_cli_experiments import with_experiments
 
 from simulation.case import load_case
 
@@ -97,6 +98,30 @@ def test_correlated_errors_widen_the_intervals(project: Path, studies: Run) -> N
     ratio = widths() / independent
     assert ratio.max() > 1.5
     assert ratio.max() < np.sqrt(7.5)
+
+
+def test_experiments_have_scales_limits_and_correlations_of_their_own(new_project: Path) -> None:
+    add_case(new_project)
+    file = edit(
+        new_project,
+        (MASONRY, f'{MASONRY}normalize = "range"\ncorrelation_time_s = 7200\n'),
+        (FLOW, f'{FLOW}normalize = "mean"\nat_most = 100.0\n'),
+    )
+    with_experiments(file)
+    case, rng = load_case(file), np.random.default_rng(0)
+    assert case.layout is not None
+    joined, parts = case.measurement, case.layout.experiments
+    y = rng.normal(50.0, 40.0, (2, len(joined.time), 4))
+    errors, shares = np.zeros(2), 0.0
+    for part, one in zip(parts, case.experiments, strict=True):
+        own = one.measurement
+        share = own.weights.sum()
+        # Both have the same first uncertainty.
+        errors += share * own.mse(np.ascontiguousarray(y[:, : part.n_times, part.outputs]))
+        shares += share
+    np.testing.assert_allclose(joined.mse(y), errors / shares, rtol=1e-12)
+    sizes = [[np.ptp(s.values) for s in one.measurement.samples] for one in case.experiments]
+    assert sizes[0][0] != sizes[1][0]
 
 
 @pytest.mark.parametrize(
