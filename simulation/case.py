@@ -54,15 +54,11 @@ class Output:
         name: The FMU's variable.
         unit: Unit of the measurement and of every trajectory.
         uncertainty: Uncertainty of the sensor. [unit]
-        path: File of the recording.
-        column: Column of the recording.
     """
 
     name: str
     unit: str
     uncertainty: float
-    path: Path
-    column: str
 
 
 @dataclass(frozen=True)
@@ -316,7 +312,10 @@ def _single(
         case = _compared_over(path, stepped, fmu, data, plain)
         later = validation_period(file, plain, may_be_left_out=window_d is not None)
         if later is not None:
-            case = replace(case, validation=_compared_over(path, stepped, fmu, data, later))
+            # Errors of both periods are comparable: what normalizes outputs is that of the calibrated one.
+            validation = _compared_over(path, stepped, fmu, data, later)
+            same = replace(validation.measurement, weights=case.measurement.weights)
+            case = replace(case, validation=replace(validation, measurement=same))
     return case
 
 
@@ -450,10 +449,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         parameter_space=space,
         scenario=scenario,
         measurement=measurement,
-        outputs=tuple(
-            Output(table.name, table.unit, table.uncertainty, data.recordings[table.file].path, table.column)
-            for table in file.outputs
-        ),
+        outputs=tuple(Output(table.name, table.unit, table.uncertainty) for table in file.outputs),
         window_d=period.compared_d,
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,

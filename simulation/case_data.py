@@ -41,14 +41,17 @@ class CaseData:
         Raises:
             InputError: If the nearest is further away than samples usually are.
         """
-        recording = self.recordings[table.file]
-        known = np.flatnonzero(~np.isnan(recording.columns[table.column]))
+        if table.source is None:
+            raise InputError(f"{table.name} is not measured; give a number")
+        file, column = table.source
+        recording = self.recordings[file]
+        known = np.flatnonzero(~np.isnan(recording.columns[column]))
         if len(known):
             row = known[np.argmin(np.abs(recording.time[known] - start_s))]
             if abs(recording.time[row] - start_s) <= recording.step_s * (1.0 + 1e-6):
-                return float(recording.columns[table.column][row])
+                return float(recording.columns[column][row])
         raise InputError(
-            f"{recording.path} has no value of {table.column} near the start, {start_s:.12g} s; "
+            f"{recording.path} has no value of {column} near the start, {start_s:.12g} s; "
             "give a number, or choose a start_d (start_s) with a measured value"
         )
 
@@ -119,8 +122,8 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
         InputError: If one cannot be read.
     """
     columns: dict[str, list[str]] = {}
-    for output in file.outputs:
-        columns.setdefault(output.file, []).append(output.column)
+    for name, column in filter(None, (output.source for output in file.outputs)):
+        columns.setdefault(name, []).append(column)
     for source in file.inputs:
         columns.setdefault(source.file, []).extend(source.weights)
     places = {name: Path(os.path.realpath(path.parent / file.data / name)) for name in columns}
@@ -170,7 +173,7 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
             f'time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
             f"stand in {', '.join(used)}; correct it, or drop the key"
         )
-    first = recordings[leading or file.outputs[0].file]
+    first = recordings[leading or next(one.file for one in file.outputs if one.file is not None)]
     for recording in recordings.values():
         if recording.clock != first.clock:
             raise InputError(

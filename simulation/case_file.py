@@ -176,11 +176,18 @@ class OutputTable(Table):
         name: the output of the FMU.
         unit: unit of the column, and of all results.
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
-        file: CSV file in the folder `data`.
+        file: CSV file in the folder `data`; an output with limits needs none.
         column: column of the file; an empty cell is a gap.
-        uncertainty: standard uncertainty of the sensor. [unit]
-        error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated.
+        uncertainty: standard uncertainty of the sensor; without one, of the limits. [unit]
+        error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated: it weighs
+            priors and intervals, and changes no error.
+        correlation_time_s: the same for the error as well: the correlation time of autoregressive noise, of
+            which differences are freed before they are squared.
         weight: share of the error relative to the other outputs. [1]
+        normalize: what differences count relative to, in place of the uncertainty: the range of the measured
+            values, the size of their mean, or a number; in all outputs or in none. [unit]
+        at_least: lower limit; what a simulation lies below counts as a difference. [unit]
+        at_most: upper limit; what a simulation lies above counts as a difference. [unit]
         loss: how differences count: their squares, or less where they are large, against outliers.
         loss_scale: difference from which on a robust loss counts less; without it, twice the uncertainty.
             [unit]
@@ -190,11 +197,15 @@ class OutputTable(Table):
     name: Name
     unit: Line
     fmu_unit: Name | None = None
-    file: Name
-    column: Name
+    file: Name | None = None
+    column: Name | None = None
     uncertainty: Positive
     error_lasts_s: Positive | None = None
+    correlation_time_s: Positive | None = None
     weight: Positive = 1.0
+    normalize: Literal["range", "mean"] | Positive | None = None
+    at_least: Finite | None = None
+    at_most: Finite | None = None
     loss: Literal["squares"] | LossKind = "squares"
     loss_scale: Positive | None = None
     accepted: Pair | None = None
@@ -207,10 +218,56 @@ class OutputTable(Table):
         return self
 
     @model_validator(mode="after")
+    def _has_a_target(self) -> Self:
+        missing = [key for key in ("file", "column") if getattr(self, key) is None]
+        if len(missing) == 1:
+            raise ValueError(f"key {missing[0]} is missing; add it")
+        if not missing:
+            return self
+        if not self.has_limits:
+            raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
+        for key in ("error_lasts_s", "correlation_time_s"):
+            if getattr(self, key) is not None:
+                raise ValueError(f"{key} is of a sensor, and nothing is measured; drop it")
+        if isinstance(self.normalize, str):
+            raise ValueError(
+                f'normalize = "{self.normalize}" is of measured values, and there are none; write a number'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _limits_leave_something(self) -> Self:
+        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
+            raise ValueError(
+                f"at_least = {self.at_least:g} is not below at_most = {self.at_most:g}; correct one of them"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _correlation_stands_alone(self) -> Self:
+        if self.correlation_time_s is None:
+            return self
+        if self.error_lasts_s is not None:
+            raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
+        if self.loss != "squares":
+            raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
+        return self
+
+    @model_validator(mode="after")
     def _scale_has_a_loss(self) -> Self:
         if self.loss_scale is not None and self.loss == "squares":
             raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
         return self
+
+    @property
+    def source(self) -> tuple[str, str] | None:
+        """File and column of the measurement, None where there is none."""
+        return None if self.file is None or self.column is None else (self.file, self.column)
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether the output has to stay within limits."""
+        return self.at_least is not None or self.at_most is not None
 
     @property
     def robust_loss(self) -> RobustLoss | None:
@@ -441,6 +498,13 @@ class CaseFile(Table):
         for key, n in (inputs | outputs | parameters).items():
             if n > 1:
                 raise ValueError(f"{key} is declared {n} times; keep one")
+        if not any(one.source for one in self.outputs):
+            raise ValueError("outputs: none is measured; give one of them file and column")
+        plain = [one.name for one in self.outputs if one.normalize is None]
+        if 0 < len(plain) < len(self.outputs):
+            raise ValueError(
+                f"outputs[{plain[0]}] has no normalize and others have; give it to all of them, or to none"
+            )
         for name in self.fixed:
             if f"parameters[{name}]" in parameters:
                 raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")

@@ -7,10 +7,12 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case_data import CaseData
-from simulation.case_file import CaseFile
+from simulation.case_file import CaseFile, OutputTable
 from simulation.errors import InputError, errors_at
-from simulation.measurement import Measurement, Samples
+from simulation.limits import Limits
+from simulation.measurement import Measurement
 from simulation.recording import Recording
+from simulation.samples import Samples
 from simulation.time_unit import DAY_S, TimeUnit
 
 MOST_STEPS = 10_000_000
@@ -121,7 +123,8 @@ def time_grid(file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArra
     start_said = f"time.start_{unit.symbol} = {unit.of_days(start_d):g}"
     n_warmup = _whole_steps(begin_d - start_d, output_step, start_said)
     longest = max(
-        (data.recordings[table.file] for table in file.outputs), key=lambda one: float(one.time[-1])
+        (data.recordings[table.file] for table in file.outputs if table.file is not None),
+        key=lambda one: float(one.time[-1]),
     )
     length_d = (longest.time[-1] - data.day_zero_s) / DAY_S
     # Where samples are not taken evenly, the last of a period comes a little before its end.
@@ -145,16 +148,23 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
         period: The period.
 
     Raises:
-        InputError: If an output has less than two samples, or one outside its own band.
+        InputError: If an output has less than two samples, one outside its own band, or none that it can
+            be normalized with.
     """
     begin_s = float(time[0]) + (period.compared_d[0] - period.reported_d[0]) * DAY_S
     seen_s = math.nan if period.seen_d is None else begin_s + (period.seen_d - period.compared_d[0]) * DAY_S
-    samples = []
+    samples, limits, weights = [], [], []
     for table in file.outputs:
         with errors_at(f"outputs[{table.name}]"):
-            recording = data.recordings[table.file]
+            limits.append(_limits(table, time[time >= begin_s - 1e-6 * file.time.output_step_s]))
+            if table.source is None:
+                one = _no_samples(limits[-1])
+                samples.append(one)
+                weights.append(_weight(table, one))
+                continue
+            recording, column = data.recordings[table.source[0]], table.source[1]
             said = file.time.unit.period(period.compared_d)
-            one = _samples(recording, table.column, (begin_s, float(time[-1])), seen_s, said)
+            one = _samples(recording, column, (begin_s, float(time[-1])), seen_s, said)
             low, high = table.accepted or (-math.inf, math.inf)
             for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
                 raise InputError(
@@ -162,15 +172,51 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
                     f"{one.time[row]:.12g} s; widen it, or empty that cell"
                 )
             samples.append(one)
+            weights.append(_weight(table, one))
+    correlation_s = np.array([table.correlation_time_s or 0.0 for table in file.outputs])
     return Measurement(
         time,
         tuple(samples),
         tuple(table.name for table in file.outputs),
         uncertainty=np.array([table.uncertainty for table in file.outputs]),
-        weights=np.array([table.weight for table in file.outputs]),
+        weights=np.array(weights),
         lasts_s=np.array([table.error_lasts_s or 0.0 for table in file.outputs]),
         losses=tuple(table.robust_loss for table in file.outputs),
+        correlation_s=correlation_s if correlation_s.any() else None,
+        limits=tuple(limits) if any(limits) else (),
     )
+
+
+def _limits(table: OutputTable, time: FloatArray) -> Limits | None:
+    """Return the limits of an output over the compared output times (t,) [s], None for none."""
+    if not table.has_limits:
+        return None
+    low = -math.inf if table.at_least is None else table.at_least
+    high = math.inf if table.at_most is None else table.at_most
+    return Limits(time, low, high, is_alone=table.source is None)
+
+
+def _no_samples(limits: Limits | None) -> Samples:
+    """Return what stands in place of the samples of an output that has limits alone."""
+    assert limits is not None, "an output has a measurement or limits"
+    return Samples(limits.time, np.full(limits.time.shape, limits.ends[-1]))
+
+
+def _weight(table: OutputTable, samples: Samples) -> float:
+    """Return the weight of an output: differences are divided by the uncertainty, and normalized instead."""
+    if table.normalize is None:
+        return table.weight
+    if table.normalize == "range":
+        size = float(np.ptp(samples.values))
+    elif table.normalize == "mean":
+        size = abs(float(np.mean(samples.values)))
+        if table.unit in ("K", "degC", "°C", "degF", "°F"):
+            raise InputError('normalize = "mean": the zero of a temperature is a convention; write "range"')
+    else:
+        size = float(table.normalize)
+    if not size > 0.0:
+        raise InputError(f'normalize = "{table.normalize}": that of the measured values is 0; write a number')
+    return table.weight * (table.uncertainty / size) ** 2
 
 
 def _samples(

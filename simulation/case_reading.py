@@ -62,7 +62,7 @@ def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
             raise InputError(f"{path}: experiments[{name}] is declared {n} times; keep one")
     if all(table.held_out for table in tables):
         raise InputError(f"{path}: no experiment is left to calibrate; drop held_out from one, or add one")
-    return tuple(
+    read = tuple(
         ReadExperiment(
             table.name,
             _validated(CaseFile, _with_experiment(content, table), f"{path}: experiments[{table.name}]"),
@@ -71,6 +71,13 @@ def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
         )
         for table in tables
     )
+    normalized = [one.file.outputs[0].normalize is not None for one in read]
+    if len(set(normalized)) > 1:
+        name = read[normalized.index(False)].name
+        raise InputError(
+            f"{path}: experiments[{name}] has outputs without normalize and others have it; give it to all"
+        )
+    return read
 
 
 def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[str, Any]:

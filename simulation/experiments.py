@@ -9,8 +9,10 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.forward_model import ForwardModel
-from simulation.measurement import Measurement, Samples
+from simulation.limits import Limits
+from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
+from simulation.samples import Samples
 from simulation.trajectories import Trajectories
 
 Names = tuple[tuple[str, ...], tuple[str, ...]]
@@ -109,12 +111,18 @@ def joined_measurement(
         measurements: Each experiment's own.
         weights: Share of each experiment's outputs relative to the others'. [1]
     """
-    samples = list[Samples]()
+    samples, limits, correlation_s = list[Samples](), list[Limits | None](), list[FloatArray]()
     for one in measurements:
         begin_s, length_s = one.time[0], one.time[-1] - one.time[0]
         samples += (
             Samples(np.clip(series.time - begin_s, 0.0, length_s), series.values) for series in one.samples
         )
+        places = range(len(one.samples))
+        every = (one.limits_of(k) for k in places)
+        limits += (its and its.within(begin_s, length_s) for its in every)
+        none = np.zeros(len(places))
+        correlation_s.append(none if one.correlation_s is None else one.correlation_s)
+    is_correlated = any(one.correlation_s is not None for one in measurements)
     return Measurement(
         layout.time,
         tuple(samples),
@@ -123,6 +131,8 @@ def joined_measurement(
         weights=np.concatenate([one.weights * w for one, w in zip(measurements, weights, strict=True)]),
         lasts_s=np.concatenate([one.error_lasts_s for one in measurements]),
         losses=tuple(one.loss_of(k) for one in measurements for k in range(len(one.samples))),
+        correlation_s=np.concatenate(correlation_s) if is_correlated else None,
+        limits=tuple(limits) if any(limits) else (),
     )
 
 

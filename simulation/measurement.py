@@ -6,33 +6,10 @@ from functools import cached_property
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray, digest_of
+from simulation.correlated_error import coloured, correlations, whitened
+from simulation.limits import Limits
 from simulation.robust_loss import RobustLoss
-
-# A sample this close to an output time, as a share of the output step, lies on it.
-_ON_GRID = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """What was measured of one output: at its own times, gaps left out.
-
-    Attributes:
-        time: Sample times, rising. Shape (m,). [s]
-        values: Measured values. Shape (m,). [output's unit]
-    """
-
-    time: FloatArray
-    values: FloatArray
-
-    def __post_init__(self) -> None:
-        if self.time.shape != self.values.shape or self.time.ndim != 1:
-            raise ValueError(f"times {self.time.shape} and values {self.values.shape} do not fit")
-        if not len(self.time):
-            raise ValueError("an output without a sample cannot be compared")
-        if not (np.isfinite(self.time).all() and np.isfinite(self.values).all()):
-            raise ValueError("a sample is not finite; leave gaps out")
-        if np.any(np.diff(self.time) <= 0):
-            raise ValueError("sample times do not rise")
+from simulation.samples import Place, Samples, place_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +26,10 @@ class Measurement:
     For one output, or outputs sampled alike with weights of 1, this is the mean of all squared residuals.
     For an output with a robust loss, the square of the difference is replaced by its loss: the error is then
     a mean loss.
+    For an output whose errors have a correlation time, the differences are replaced by their innovations
+    (see `correlated_error`), so that the sum of squares is that of the likelihood.
+    An output with limits adds w_k / sum_k w_k * mean_i (s_1 / s_k * excess_ki)^2 over the output times. Where
+    it has no measurement its weight is in no sum_k w_k: limits that are kept leave the error as it is.
 
     Attributes:
         time: Output times. Shape (t,). [s]
@@ -59,6 +40,10 @@ class Measurement:
         lasts_s: How long an error of each output lasts, None where that is not known: it decides how much a
             prior weighs, and no error. Shape (k,). [s]
         losses: Robust loss of each output, None for squares; empty for squares throughout.
+        correlation_s: Correlation time of each output's errors, 0 for independent ones; None for independent
+            ones throughout. Shape (k,). [s]
+        limits: Limits of each output, None for none; empty for none throughout. Samples of an output that
+            has nothing else are its limit.
     """
 
     time: FloatArray
@@ -68,22 +53,29 @@ class Measurement:
     weights: FloatArray
     lasts_s: FloatArray | None = None
     losses: tuple[RobustLoss | None, ...] = ()
+    correlation_s: FloatArray | None = None
+    limits: tuple[Limits | None, ...] = ()
 
     def __post_init__(self) -> None:
         n_outputs = len(self.output_names)
-        n_losses = len(self.losses) or n_outputs
-        if {len(self.samples), *self.uncertainty.shape, *self.weights.shape, n_losses} != {n_outputs}:
+        n_losses, n_limits = len(self.losses) or n_outputs, len(self.limits) or n_outputs
+        sizes = {len(self.samples), *self.uncertainty.shape, *self.weights.shape, n_losses, n_limits}
+        if sizes != {n_outputs}:
             raise ValueError(
                 f"{len(self.samples)} series of samples, uncertainty {self.uncertainty.shape}, weights "
-                f"{self.weights.shape} and {n_losses} losses do not fit {n_outputs} outputs"
+                f"{self.weights.shape}, {n_losses} losses, {n_limits} limits do not fit {n_outputs} outputs"
             )
+        if not len(self.measured):
+            raise ValueError("no output is measured; limits alone are no target")
         # An uncertainty that is not known is infinite or NaN.
         if (self.uncertainty <= 0.0).any():
             raise ValueError(f"uncertainty is {self.uncertainty}; every output's has to be positive")
         if not (np.isfinite(self.weights) & (self.weights > 0.0)).all():
             raise ValueError(f"weights are {self.weights}; every output's has to be positive")
         for one in self.samples:
-            _place(self.time, one.time)
+            place_of(self.time, one.time)
+        for k in self._with_limits_beside:
+            place_of(self.time, self._its_limits(k).time)
 
     @classmethod
     def on_grid(
@@ -124,13 +116,14 @@ class Measurement:
         return y
 
     @cached_property
-    def _places(self) -> "tuple[_Place, ...]":
-        return tuple(_place(self.time, one.time) for one in self.samples)
+    def _places(self) -> tuple[Place, ...]:
+        return tuple(place_of(self.time, one.time) for one in self.samples)
 
     @property
     def from_first_sample(self) -> "Measurement":
         """The same, without the output times that lie before the first sample."""
-        first_s = min(float(one.time[0]) for one in self.samples)
+        times = [one.time for one in self.samples] + [one.time for one in self.limits if one is not None]
+        first_s = min(float(one[0]) for one in times)
         first = int(np.searchsorted(self.time, first_s, side="right")) - 1
         return replace(self, time=self.time[max(first, 0) :])
 
@@ -141,13 +134,28 @@ class Measurement:
 
     @property
     def error_name(self) -> str:
-        """What the error is: "MSE", or "mean loss" where an output has a robust loss."""
-        return "mean loss" if any(self.losses) else "MSE"
+        """What the error is: "MSE", with a robust loss "mean loss", correlated "whitened MSE"."""
+        plain = "MSE" if self.correlation_s is None else "whitened MSE"
+        return "mean loss" if any(self.losses) else plain
 
     @property
     def n_samples(self) -> int:
-        """Number of residuals that a comparison has."""
-        return sum(len(one.time) for one in self.samples)
+        """Number of residuals that a comparison has, those of limits included."""
+        return len(self._by_target)
+
+    @cached_property
+    def measured(self) -> tuple[int, ...]:
+        """Positions of the outputs that are measured: all but those that have limits alone."""
+        return tuple(
+            k
+            for k in range(len(self.samples))
+            if (limits := self.limits_of(k)) is None or not limits.is_alone
+        )
+
+    @property
+    def n_measured(self) -> int:
+        """Number of measured values."""
+        return sum(len(self.samples[k].time) for k in self.measured)
 
     @cached_property
     def scales(self) -> FloatArray:
@@ -157,8 +165,12 @@ class Measurement:
         """
         uncertainty = self.uncertainty
         n = np.array([len(one.time) for one in self.samples], dtype=np.float64)
-        shares = np.sqrt(self.weights * n.sum() / (self.weights.sum() * n))
+        shares = np.sqrt(self.weights * float(self.n_samples) / (self._sum_of_weights * n))
         return np.asarray(uncertainty[0] / uncertainty * shares)
+
+    @property
+    def _sum_of_weights(self) -> float:
+        return float(self.weights[list(self.measured)].sum())
 
     @property
     def error_scales(self) -> FloatArray:
@@ -177,22 +189,33 @@ class Measurement:
             output: Position of the output.
 
         Returns:
-            Shape (n, m_k). [output's unit]
+            Of an output with limits alone, how far it lies beyond them. Shape (n, m_k). [output's unit]
         """
-        place, series = self._places[output], y[:, :, output]
-        if place.is_whole_grid:
-            simulated = series
-        else:
-            simulated = series[:, place.before] * (1.0 - place.share)
-            simulated += series[:, place.after] * place.share
-        return simulated - self.samples[output].values
+        simulated, limits = self._places[output].of(y[:, :, output]), self.limits_of(output)
+        if limits is not None and limits.is_alone:
+            return limits.excess(simulated)
+        return np.asarray(simulated - self.samples[output].values)
+
+    def limits_of(self, output: int) -> Limits | None:
+        """Return the limits of an output, None for none."""
+        return self.limits[output] if self.limits else None
+
+    def excess(self, y: FloatArray, output: int) -> FloatArray:
+        """Return how far an output lies beyond its limits at their times. Shape (n, m). [output's unit].
+
+        Args:
+            y: Simulated outputs. Shape (n, t, k). [per output]
+            output: Position of the output.
+        """
+        limits = self._its_limits(output)
+        return limits.excess(place_of(self.time, limits.time).of(y[:, :, output]))
 
     def loss_of(self, output: int) -> RobustLoss | None:
         """Return the robust loss of an output, None for squares."""
         return self.losses[output] if self.losses else None
 
     def residuals(self, y: FloatArray, output: int) -> FloatArray:
-        """Return the residuals of one output: differences as its loss counts them, scaled.
+        """Return the residuals of one output's differences: whitened, as its loss counts them, scaled.
 
         Args:
             y: Simulated outputs. Shape (n, t, k). [per output]
@@ -201,8 +224,21 @@ class Measurement:
         Returns:
             Shape (n, m_k). [first output's unit]
         """
-        differences, loss = self.differences(y, output), self.loss_of(output)
+        differences, loss = self._independent(y, output), self.loss_of(output)
         return np.asarray((differences if loss is None else loss.shrunk(differences)) * self.scales[output])
+
+    def _independent(self, y: FloatArray, output: int) -> FloatArray:
+        """Return the differences of an output, whitened where its errors are correlated. Shape (n, m_k)."""
+        differences, rho = self.differences(y, output), self._correlations[output]
+        return differences if rho is None else whitened(differences, rho)
+
+    @cached_property
+    def _correlations(self) -> tuple[FloatArray | None, ...]:
+        lasts_s = np.zeros(len(self.samples)) if self.correlation_s is None else self.correlation_s
+        return tuple(
+            correlations(one.time, float(tau)) if tau > 0.0 else None
+            for one, tau in zip(self.samples, lasts_s, strict=True)
+        )
 
     def scatter(self, y: FloatArray, output: int) -> FloatArray:
         """Return what the residuals of one output show of noise: those of squares, or as far as they count.
@@ -214,11 +250,11 @@ class Measurement:
         Returns:
             Shape (m_k,). [first output's unit]
         """
-        differences, loss = self.differences(y[None], output)[0], self.loss_of(output)
+        differences, loss = self._independent(y[None], output)[0], self.loss_of(output)
         return np.asarray((differences if loss is None else loss.scatter(differences)) * self.scales[output])
 
     def scaled_differences(self, residuals: FloatArray) -> FloatArray:
-        """Return what residuals would be if no output had a robust loss.
+        """Return what residuals would be without robust losses and correlation times; of limits, as they are.
 
         Args:
             residuals: As `compared` returns them. Shape (..., n_samples). [first output's unit]
@@ -226,13 +262,15 @@ class Measurement:
         Returns:
             Shape as they have. [first output's unit]
         """
-        if not any(self.losses):
+        if not any(self.losses) and self.correlation_s is None:
             return residuals
-        plain = residuals.copy()
-        for k, loss in enumerate(self.losses):
+        plain, target_of = residuals.copy(), self._by_target[self._order]
+        for k, rho in enumerate(self._correlations):
+            loss, of, scale = self.loss_of(k), target_of == k, self.scales[k]
             if loss is not None:
-                of, scale = self._by_output[self._order] == k, self.scales[k]
                 plain[..., of] = scale * loss.grown(residuals[..., of] / scale)
+            elif rho is not None:
+                plain[..., of] = coloured(residuals[..., of], rho)
         return plain
 
     def compared(self, y: FloatArray) -> FloatArray:
@@ -246,9 +284,17 @@ class Measurement:
             loss. Shape (n, n_samples). [first output's unit]
         """
         parts = [self.residuals(y, k) for k in range(len(self.samples))]
+        parts += [self._beyond(y, k) for k in self._with_limits_beside]
         joined = parts[0] if len(parts) == 1 else np.take(np.concatenate(parts, axis=1), self._order, axis=1)
         # The sum of a row must not depend on the other rows, not in its last digit.
         return np.ascontiguousarray(joined)
+
+    def _beyond(self, y: FloatArray, output: int) -> FloatArray:
+        """Return the residuals of limits beside a measurement. Shape (n, m). [first output's unit]."""
+        excess, loss = self.excess(y, output), self.loss_of(output)
+        # Its mean square counts like that of the differences, however many output times there are.
+        scale = self.scales[output] * np.sqrt(len(self.samples[output].time) / excess.shape[1])
+        return np.asarray((excess if loss is None else loss.shrunk(excess)) * scale)
 
     def mse(self, y: FloatArray) -> FloatArray:
         """Return the mean squared error or mean loss of every row, infinite where it is not finite.
@@ -265,16 +311,38 @@ class Measurement:
         mse[good] = np.mean(residuals[good] ** 2, axis=1)
         return mse
 
+    @property
+    def output_of(self) -> IntArray:
+        """Output whose measurement each residual compares, -1 for those of limits. Shape (n_samples,)."""
+        outputs = [k if k in self.measured else -1 for k in range(len(self.samples))]
+        targets = np.array([*outputs, *(-1 for _ in self._with_limits_beside)], dtype=np.int64)
+        return np.asarray(targets[self._by_target[self._order]])
+
+    @cached_property
+    def _with_limits_beside(self) -> tuple[int, ...]:
+        """Positions of the outputs that have limits beside a measurement."""
+        return tuple(k for k in self.measured if self.limits_of(k) is not None)
+
+    def _its_limits(self, output: int) -> Limits:
+        limits = self.limits_of(output)
+        assert limits is not None, "asked of an output with limits"
+        return limits
+
+    @cached_property
+    def _times(self) -> list[FloatArray]:
+        """Times of the residuals: of each output's samples, then of the limits beside them. [s]."""
+        beside = [self._its_limits(k).time for k in self._with_limits_beside]
+        return [one.time for one in self.samples] + beside
+
     @cached_property
     def _order(self) -> IntArray:
         """Order of the residuals: by time, then by output."""
-        times = np.concatenate([one.time for one in self.samples])
-        return np.lexsort((self._by_output, times))
+        return np.lexsort((self._by_target, np.concatenate(self._times)))
 
-    @property
-    def _by_output(self) -> IntArray:
-        """Output of each sample, one output after the other."""
-        return np.repeat(np.arange(len(self.samples)), [len(one.time) for one in self.samples])
+    @cached_property
+    def _by_target(self) -> IntArray:
+        """Place of each residual's times among `_times`, one after the other."""
+        return np.repeat(np.arange(len(self._times)), [len(time) for time in self._times])
 
     @cached_property
     def digest(self) -> str:
@@ -286,31 +354,6 @@ class Measurement:
         if any((place.share % 1.0).any() for place in self._places):
             arrays += [array for one in self.samples for array in (one.time, one.values)]
         named = repr((self.output_names, self.y.shape)) + (repr(self.losses) if any(self.losses) else "")
+        if self.correlation_s is not None or any(self.limits):
+            named += repr((None if self.correlation_s is None else self.correlation_s.tolist(), self.limits))
         return digest_of(named, *arrays)
-
-
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """Between which output times samples lie, and how far towards the later one. Shape (m,) each."""
-
-    before: IntArray
-    after: IntArray
-    share: FloatArray
-    is_whole_grid: bool
-
-
-def _place(grid: FloatArray, time: FloatArray) -> _Place:
-    """Find samples among the output times; the share is exactly 0 or 1 on one of them."""
-    before = np.clip(np.searchsorted(grid, time, side="right") - 1, 0, max(len(grid) - 2, 0))
-    after = np.minimum(before + 1, len(grid) - 1)
-    share = (time - grid[before]) / np.where(after > before, grid[after] - grid[before], 1.0)
-    share[np.abs(share) < _ON_GRID] = 0.0
-    share[np.abs(share - 1.0) < _ON_GRID] = 1.0
-    outside = (share < 0.0) | (share > (after > before))
-    if outside.any():
-        raise ValueError(
-            f"a sample at {time[outside][0]:g} s lies outside the output times, {grid[0]:g} to {grid[-1]:g} s"
-        )
-    at = before + share.astype(np.int64)
-    is_whole_grid = not (share % 1.0).any() and np.array_equal(at, np.arange(len(grid)))
-    return _Place(before, after, share, is_whole_grid)

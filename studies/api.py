@@ -34,7 +34,7 @@ class CalibrationResult:
         theta: Parameters by name, with the columns value, unit, lower, upper and determined. The last one is
             False where the data leave a parameter open, and None where that was not judged. Shape (p, 5).
         mse: Final error. [first output's unit squared]
-        error_name: What it is: "MSE", or "mean loss" where an output has a robust loss.
+        error_name: What it is: "MSE", "mean loss" with a robust loss, "whitened MSE" with a correlation time.
         calls: Model calls in all. Those that were stored before count too.
         trajectories: The columns (output, "measured") and (output, "calibrated") of each output. The index is
             the time of the case file in seconds; NaN where nothing was measured. Shape (t, 2 k). [per output]
@@ -199,7 +199,8 @@ def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
     at, judged, space = case.measurement.time, found.determined_by_data, case.parameter_space
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
-        series[output.name, "measured"] = pd.Series(samples.values, samples.time)
+        if k in case.measurement.measured:
+            series[output.name, "measured"] = pd.Series(samples.values, samples.time)
         series[output.name, "calibrated"] = pd.Series(np.interp(every, at, found.y[:, k]), every)
     theta = pd.DataFrame(
         {

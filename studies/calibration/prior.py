@@ -138,7 +138,8 @@ class Prior:
 def independent_samples(measurement: Measurement) -> float:
     """Return how many independent samples a measurement is worth under the module's noise model. [1]."""
     total = 0.0
-    for samples, lasts_s in zip(measurement.samples, measurement.error_lasts_s, strict=True):
+    for k in measurement.measured:
+        samples, lasts_s = measurement.samples[k], measurement.error_lasts_s[k]
         m = len(samples.time)
         rho = 0.0
         if m > 1 and lasts_s > 0.0:

@@ -26,17 +26,17 @@ class TruncatedWindow:
         Args:
             measurement: The target, which also says which residual belongs to which output.
         """
-        n_outputs = len(measurement.output_names)
-        zero, plain = np.zeros((1, len(measurement.time), n_outputs)), replace(measurement, losses=())
+        zero = np.zeros((1, len(measurement.time), len(measurement.output_names)))
+        plain = replace(measurement, losses=(), correlation_s=None)
         self._measurement = measurement
         # Compared with zero, all that is left is the measurement, scaled and ordered as residuals are.
         self._measured = signal = -plain.compared(zero)[0]
-        # A residual belongs to the output that moves it.
-        moved = plain.compared(zero + np.eye(n_outputs)[:, None]) + signal
-        self._is_of: BoolArray = moved > 0.5 * moved.max(axis=0)
+        # What limits say belongs to no measured output.
+        self._is_of: BoolArray = measurement.output_of == np.array(measurement.measured)[:, None]
         self._variance = np.array([signal[of].var() for of in self._is_of])
         # An output that varies less than its sensor errs, as a room at its set point, counts only alone.
-        is_flat = self._variance <= (measurement.scales * measurement.uncertainty) ** 2
+        sensor = (measurement.scales * measurement.uncertainty)[list(measurement.measured)]
+        is_flat = self._variance <= sensor**2
         if not is_flat.all():
             self._variance[is_flat] = 0.0
         self._features: TrajectoryFeatures | None = None

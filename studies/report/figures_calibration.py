@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.measurement import Measurement, Samples
+from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from studies.report.drawing import (
     BETWEEN_BOUNDS,
@@ -83,10 +83,8 @@ def _outputs_over_time(
     lines.append((final, POLISHED, y))
     panels = []
     for k in range(len(case.outputs)):
-        samples, at = case.measurement.samples[k], case.measurement.time
-        shown = _output(
-            case.outputs[k].name, output_axis(case, k), at, k, samples=samples, lines=lines, height=220
-        )
+        name, y_axis, measurement = case.outputs[k].name, output_axis(case, k), case.measurement
+        shown = _output(name, y_axis, measurement.time, k, measurement=measurement, lines=lines, height=220)
         panels += [shown, _residuals(case, k, y)]
     return Figure(title, tuple(panels))
 
@@ -98,7 +96,7 @@ def _output(
     k: int,
     *,
     bands: tuple[FloatArray | None, FloatArray | None] = (None, None),
-    samples: Samples | None = None,
+    measurement: Measurement | None = None,
     lines: Sequence[tuple[str, str, FloatArray]] = (),
     size: int = 14,
     height: int = 200,
@@ -109,10 +107,10 @@ def _output(
         name: Name of the output.
         y: Its axis.
         time: Times of bands and lines. Shape (t,). [s]
-        k: Its place in bands and lines.
+        k: Its place in bands, lines and measurement.
         bands: Measured values to be expected, and simulations of equally good parameter sets; None without
             such. Shape (2, t, k). [per output]
-        samples: What was measured; None for nothing.
+        measurement: What was measured, and limits; None for nothing.
         lines: Name, color and values. Shape (t, k). [per output]
         size: Of a point.
         height: Of the panel.
@@ -124,11 +122,26 @@ def _output(
         for what, color, band in zip(("with noise", "simulated"), (TRAINING, SIMULATED), bands, strict=True)
         if band is not None
     ]
-    if samples is not None:
-        dots, when = {"filled": True, "size": size}, unit.of_seconds(samples.time)
-        series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
+    if measurement is not None:
+        series += limit_lines(measurement, k)
+        if k in measurement.measured:
+            samples, dots = measurement.samples[k], {"filled": True, "size": size}
+            when = unit.of_seconds(samples.time)
+            series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
     series += [Series(name, color, at, values[:, k]) for name, color, values in lines]
     return Panel(name, axis, y, series, height)
+
+
+def limit_lines(measurement: Measurement, output: int) -> list[Series]:
+    """Return the limits of an output as lines from left to right; none where it has none.
+
+    Args:
+        measurement: What simulations are compared with.
+        output: Position of the output.
+    """
+    limits = measurement.limits_of(output)
+    ends = {} if limits is None else {"at least": limits.at_least, "at most": limits.at_most}
+    return [Series(name, SCREENED, y=[end], mark="rule") for name, end in ends.items() if math.isfinite(end)]
 
 
 def residual_reach(largest: float, uncertainty: float) -> float:
@@ -205,8 +218,8 @@ def band_figure(case: Case, found: Uncertainty) -> Figure:
     """
     bands, at = (found.predictive, found.simulated), case.measurement.time
     panels = [
-        _output(output.name, output_axis(case, k), at, k, bands=bands, samples=samples, size=10)
-        for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True))
+        _output(output.name, output_axis(case, k), at, k, bands=bands, measurement=case.measurement, size=10)
+        for k, output in enumerate(case.outputs)
     ]
     return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels))
 
@@ -222,7 +235,7 @@ def prediction_figure(found: Prediction, measurement: Measurement | None = None)
     panels = [
         _output(
             name, Axis(axis_label(name, shown_unit(unit))), found.time, k, bands=shown,
-            samples=None if measurement is None else measurement.samples[k], lines=lines,
+            measurement=measurement, lines=lines,
         )
         for k, (name, unit) in enumerate(zip(found.output_names, found.output_units, strict=True))
     ]  # fmt: skip

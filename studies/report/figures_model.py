@@ -28,7 +28,7 @@ from studies.report.drawing import (
     time_axis,
     with_gaps,
 )
-from studies.report.figures_calibration import output_axis
+from studies.report.figures_calibration import limit_lines, output_axis
 from studies.report.wording import axis_label, count, percent, significant
 from studies.sobol import SobolIndices
 
@@ -47,9 +47,10 @@ def coverage_figure(case: Case, y: FloatArray) -> Figure:
     axis, unit = time_axis(measurement.time)
     time, panels = unit.of_seconds(measurement.time), []
     for k, name in enumerate(measurement.output_names):
-        samples = measurement.samples[k]
-        at, values = with_gaps(unit.of_seconds(samples.time), samples.values)
-        series = [Series("measured", INK, at, values)]
+        samples, series = measurement.samples[k], limit_lines(measurement, k)
+        if k in measurement.measured:
+            at, values = with_gaps(unit.of_seconds(samples.time), samples.values)
+            series.append(Series("measured", INK, at, values))
         if len(good):
             low, quarter, three_quarters, high = np.quantile(good[:, :, k], [0.0, 0.25, 0.75, 1.0], axis=0)
             series = [
@@ -85,7 +86,7 @@ def enclosed_fraction(measurement: Measurement, y: FloatArray) -> float:
     """
     if not len(y):
         return math.nan
-    differences = [measurement.differences(y, k) for k in range(len(measurement.output_names))]
+    differences = [measurement.differences(y, k) for k in measurement.measured]
     inside = [(above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0) for above in differences]
     return float(np.mean(np.concatenate(inside)))
 

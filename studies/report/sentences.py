@@ -15,6 +15,7 @@ from studies.report.wording import (
     listed,
     percent,
     quantity,
+    shown_unit,
     significant,
     square_of,
     squared,
@@ -53,7 +54,7 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
     said = [] if found.state_equations is None else [found.state_equations.sentence]
     if not math.isfinite(found.mse):
         return said
-    said += [_fit(case, found), *_outliers(case, found)]
+    said += [_fit(case, found), *_relative(case, found), *_limits(case, found), *_outliers(case, found)]
     said += [] if found.determined_by_data is None else found.determined_by_data.sentences
     if (prior := found.prior) is not None:
         unit = square_of(case.outputs[0].unit)
@@ -67,7 +68,7 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
 
 def _fit(case: "Case", found: Calibration) -> str:
     parts = []
-    for output in case.outputs:
+    for output in (case.outputs[k] for k in case.measurement.measured):
         fit, unit = found.outputs[output.name], difference_unit(output.unit)
         part = f"{output.name} differs by {quantity(fit.rmse, unit)} (RMS)"
         if fit.uncertainty is not None and fit.share_within is not None:
@@ -75,6 +76,44 @@ def _fit(case: "Case", found: Calibration) -> str:
             part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
         parts.append(part)
     return _begun(f"{compared_in(case)} {'; '.join(parts)}")
+
+
+def _relative(case: "Case", found: Calibration) -> list[str]:
+    """Say how large differences are relative to what was measured, of the outputs that have it."""
+    parts = []
+    for output in case.outputs:
+        fit = found.outputs[output.name]
+        shares = [
+            f"{name} {percent(share)}"
+            for name, share in (("NRMSE", fit.nrmse), ("CV(RMSE)", fit.cv_rmse))
+            if share is not None
+        ]
+        parts += [f"{output.name} {' and '.join(shares)}"] * bool(shares)
+    return [f"Relative to the range and the mean of the measured values: {'; '.join(parts)}"] * bool(parts)
+
+
+def _limits(case: "Case", found: Calibration) -> list[str]:
+    """Say which outputs keep their limits, and how far the others lie beyond."""
+    said = []
+    for k, output in enumerate(case.outputs):
+        fit, limits, unit = found.outputs[output.name], case.measurement.limits_of(k), output.unit
+        if limits is None or fit.largest_excess is None or fit.share_beyond is None:
+            continue
+        ends = listed(
+            f"{name} {quantity(end, shown_unit(unit), 4)}"
+            for name, end in (("at least", limits.at_least), ("at most", limits.at_most))
+            if math.isfinite(end)
+        )
+        if not fit.largest_excess:
+            said.append(f"{output.name} keeps its limits ({ends}) throughout")
+            continue
+        side = "below" if fit.largest_excess < 0.0 else "above"
+        largest = quantity(abs(fit.largest_excess), difference_unit(unit))
+        said.append(
+            f"{output.name} is outside its limits ({ends}) for {percent(fit.share_beyond)} of the time, by "
+            f"{largest} {side} at most"
+        )
+    return said
 
 
 def _begun(sentence: str) -> str:

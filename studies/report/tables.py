@@ -228,12 +228,13 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
         number("bias", spare=1),
         number("CV(RMSE)", spare=3),
         number("NMBE", spare=3),
+        number("NRMSE", spare=3),
     )
     rows: list[list[str]] = []
     for name, point in found.validation.points.items():
         errors = [significant(point.mse_window), significant(point.mse)]
         if not point.outputs:
-            rows.append([name, *errors, "failed", "", *[MISSING] * 5])
+            rows.append([name, *errors, "failed", "", *[MISSING] * 6])
         for k, (output, fit) in enumerate(point.outputs.items()):
             rows.append(
                 [
@@ -246,6 +247,7 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
                     significant(fit.bias),
                     percent(fit.cv_rmse),
                     percent(fit.nmbe),
+                    percent(fit.nrmse),
                 ]
             )
     title = (

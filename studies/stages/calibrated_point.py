@@ -80,9 +80,17 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
     found = {}
     for k, output in enumerate(case.outputs):
         difference = case.measurement.differences(y[None], k)[0]
-        rmse, sensor = float(np.sqrt(np.mean(difference**2))), float(case.measurement.uncertainty[k])
-        share = float(np.mean(np.abs(difference) <= sensor))
-        found[output.name] = Fit(rmse, sensor, share) if np.isfinite(sensor) else Fit(rmse)
+        sensor = float(case.measurement.uncertainty[k])
+        whole = output_fit(case.measurement, k, output.unit, y)
+        fit = Fit(whole.rmse, nrmse=whole.nrmse, cv_rmse=whole.cv_rmse)
+        if np.isfinite(sensor):
+            share = float(np.mean(np.abs(difference) <= sensor))
+            fit = replace(fit, uncertainty=sensor, share_within=share)
+        if case.measurement.limits_of(k) is not None:
+            excess = case.measurement.excess(y[None], k)[0]
+            largest, share = float(excess[np.argmax(np.abs(excess))]), float(np.mean(excess != 0.0))
+            fit = replace(fit, largest_excess=largest, share_beyond=share)
+        found[output.name] = fit
     return found
 
 
@@ -205,7 +213,8 @@ def output_fit(measurement: Measurement, output: int, unit: str, y: FloatArray) 
     """Return how one output of a trajectory differs from its measurement.
 
     CV(RMSE) is the root mean square difference over the size of the mean measured value, NMBE the mean
-    difference over it. Both sums are divided by n - 1, as in ASHRAE guideline 14 (2014).
+    difference over it. Both sums are divided by n - 1, as in ASHRAE guideline 14 (2014). NRMSE is the root
+    mean square difference over the range of the measured values.
 
     Args:
         measurement: What was measured.
@@ -216,9 +225,13 @@ def output_fit(measurement: Measurement, output: int, unit: str, y: FloatArray) 
     difference = measurement.differences(y[None], output)[0]
     rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
     values = measurement.samples[output].values
+    if output not in measurement.measured:
+        return OutputFit(len(values), rmse, bias, None, None)
+    span = float(np.ptp(values))
+    nrmse = rmse / span if span > 0.0 else None
     # Of what is negative where it is taken out, as cooling is, the size counts.
     n, mean = len(values), abs(float(np.mean(values)))
     is_temperature = difference_unit(unit) == "K" or unit == "degF"
     if is_temperature or mean == 0.0 or n == 1:
-        return OutputFit(n, rmse, bias, None, None)
-    return OutputFit(n, rmse, bias, rmse / mean * math.sqrt(n / (n - 1)), bias / mean * n / (n - 1))
+        return OutputFit(n, rmse, bias, None, None, nrmse)
+    return OutputFit(n, rmse, bias, rmse / mean * math.sqrt(n / (n - 1)), bias / mean * n / (n - 1), nrmse)

@@ -78,7 +78,7 @@ class Study:
         case, paths = self.case, self.paths
         folder, files = case.path.parent, {case.path: None}
         for declared in (one.file for one in read_experiments(case.path)):
-            names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
+            names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs if one.file]
             files |= dict.fromkeys(
                 [folder / declared.fmu, *(folder / declared.data / name for name in names)]
             )

@@ -31,6 +31,7 @@ class OutputFit:
         cv_rmse: rmse over the size of the mean measured value; None where that says nothing: for
             temperatures, whose zero is a convention, and for means of zero. [1]
         nmbe: bias over its size, positive where the model is too high; None likewise. [1]
+        nrmse: rmse over the range of the measured values; None where they are all the same, or none. [1]
     """
 
     n_samples: int
@@ -38,6 +39,7 @@ class OutputFit:
     bias: float
     cv_rmse: float | None
     nmbe: float | None
+    nrmse: float | None = None
 
 
 @dataclass(frozen=True)
@@ -179,14 +181,25 @@ class Fit:
     """How one output differs from its measurement over the calibrated window.
 
     Attributes:
-        rmse: Root mean square difference. [output's unit]
+        rmse: Root mean square difference; of an output with limits alone, of what lies beyond them. [output's
+            unit]
         uncertainty: That of its sensor; None where it is not declared. [output's unit]
         share_within: Share of the samples that differ by no more; None likewise. [1]
+        nrmse: rmse over the range of the measured values; None where they are all the same, or none. [1]
+        cv_rmse: rmse over the size of their mean, as in the validation; None for temperatures, for means of
+            zero and where nothing is measured. [1]
+        largest_excess: How far it lies beyond its limits at most, below 0 under the lower one; None without
+            limits. [output's unit]
+        share_beyond: Share of the output times at which it does; None likewise. [1]
     """
 
     rmse: Error
     uncertainty: float | None = None
     share_within: float | None = None
+    nrmse: float | None = None
+    cv_rmse: float | None = None
+    largest_excess: float | None = None
+    share_beyond: float | None = None
 
 
 @dataclass(frozen=True)
@@ -403,8 +416,8 @@ class Calibration:
         validation_time: Output times of the validation period. Shape (v,). [s]
         validation_y: The model there. Shape (v, k). [per output]
         validation_y_screened: The model there at the screened point. Shape (v, k). [per output]
-        error_name: What its errors are, which all fields name `mse`: "MSE", or "mean loss" where an output
-            has a robust loss.
+        error_name: What its errors are, which all fields name `mse`: "MSE", "mean loss" where an output
+            has a robust loss, or "whitened MSE" where one has a correlation time.
         start_theta: The stored simulations that it started from. Shape (n, p). [per parameter]
         start_watched: Which of them are stored with the model's states. Shape (n,).
     """

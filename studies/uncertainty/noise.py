@@ -86,8 +86,10 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         deviation = float(measurement.uncertainty[0])
         # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
         return Noise(kind, deviation, m, declared_independent_samples(measurement))
-    parts = [measurement.scatter(y, k) for k in range(len(measurement.samples))]
-    squares = sum(float(part @ part) for part in parts)
+    parts = [measurement.scatter(y, k) for k in measurement.measured]
+    n_measured = measurement.n_measured
+    # Limits that are kept say nothing of noise, but all residuals are scaled by the number of all of them.
+    squares = sum(float(part @ part) for part in parts) * (n_measured / m)
     if squares <= 0.0:
         raise InputError(
             "the best simulation equals the measurement to the last digit, so its residuals show no noise; "
@@ -95,12 +97,12 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         )
     if kind == "white":
         # m - p degrees of freedom make the estimate of the variance unbiased.
-        return Noise(kind, float(np.sqrt(squares / max(m - n_parameters, 1))), m, float(m))
+        return Noise(kind, float(np.sqrt(squares / max(n_measured - n_parameters, 1))), m, float(n_measured))
     # Which output a parameter was fitted to is not known: each bears them by its number of samples.
-    n_independent = sum(independent_samples(part, n_parameters * len(part) / m) for part in parts)
+    n_independent = sum(independent_samples(part, n_parameters * len(part) / n_measured) for part in parts)
     # Each parameter took what one independent sample holds; without this, intervals were half as wide.
     left = 1.0 - min(n_parameters / n_independent, MOST_TAKEN)
-    return Noise(kind, float(np.sqrt(squares / m / left)), m, n_independent)
+    return Noise(kind, float(np.sqrt(squares / n_measured / left)), m, n_independent)
 
 
 def independent_samples(residuals: FloatArray, n_fitted: float = 0.0) -> float:

@@ -4,8 +4,14 @@ Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [
 truth is drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the
 sensor's uncertainty that follows itself with correlation rho from sample to sample, calibrated without an
 initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. With
-`--experiments 4`, the recording is cut into four experiments, each with a start of its own. Every run is
-kept in the JSON file as soon as it ends and not repeated. Prints a table and gates nothing.
+`--experiments 4`, the recording is cut into four experiments that start one after the other; `--own T2Start`
+gives each a value of that parameter of its own. With `--declared`, the measurement says how long its errors
+last, so that residuals are whitened. Every run is kept in the JSON file as soon as it ends and not repeated.
+Prints a table and gates nothing.
+
+The theory beside it is the Cramer-Rao bound: intervals of 2 * 1.645 * sqrt(diag(F^-1)) with the information F
+of the samples at the truth, known noise and no box. Where runs with half as many experiments are kept, their
+intervals' shrinkage is compared with the theory's.
 """
 
 import argparse
@@ -14,6 +20,7 @@ import re
 import sys
 import tempfile
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -34,6 +41,13 @@ from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NoiseKind, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402
 
+STEP = 1e-4
+"""Step of the differences that information is made of. [1]"""
+NORMAL_95 = 1.6449
+"""95 % quantile of the normal distribution."""
+WIDE = 0.3
+"""Intervals that are wider by the theory end at the box, not at the data. [1]"""
+
 
 class Diary(WrappedModel):
     """A model that remembers what it answered."""
@@ -48,28 +62,57 @@ class Diary(WrappedModel):
         return self.answers[-1]
 
 
-def disturbed(case: Case, y: FloatArray, rho: float, scale: float, rng: np.random.Generator) -> Measurement:
+def disturbed(
+    case: Case, y: FloatArray, options: argparse.Namespace, rng: np.random.Generator
+) -> Measurement:
     """Return a simulation as a sensor would have measured it."""
+    rho, scale = options.rho, options.scale
     noise = rng.standard_normal(y.shape)
     for i in range(1, len(noise)):
         noise[i] = rho * noise[i - 1] + np.sqrt(1.0 - rho**2) * noise[i]
     uncertainty = scale * case.measurement.uncertainty
     measured = y + noise * uncertainty
-    return Measurement.on_grid(case.measurement.time, measured, case.measurement.output_names, uncertainty)
+    time, names = case.measurement.time, case.measurement.output_names
+    made = Measurement.on_grid(time, measured, names, uncertainty)
+    lasts_s = -(time[1] - time[0]) / np.log(rho) if options.declared else 0.0
+    return replace(made, correlation_s=np.full(len(names), lasts_s)) if options.declared else made
 
 
-def in_experiments(case: str, n: int, length_d: float, folder: Path) -> Case:
-    """Return a case whose recording is cut into experiments, each with a start of its own."""
+def in_experiments(case: str, n: int, length_d: float, own: list[str], folder: Path) -> Case:
+    """Return a case whose recording is cut into experiments, with own values of some parameters."""
     file = ROOT / "fmus" / case / "case.toml"
     text = file.read_text(encoding="utf-8")
     text = re.sub(r"\n(# [^\n]*)?\n\[\[references\]\].*", "\n", text, flags=re.S)
     text = re.sub(r"\n(start|window|validation)_d = [^\n]*", "", text)
     text = re.sub(r'\n(fmu|data) = "(.*?)"', lambda m: f'\n{m[1]} = "{file.parent / m[2]}"', text)
+    for parameter in own:
+        declared = f'[[parameters]]\nname = "{parameter}"\n'
+        text = text.replace(declared, f"{declared}per_experiment = true\n")
     for k in range(n):
         begin = k * length_d
         text += f'\n[[experiments]]\nname = "e{k}"\ntime = {{ window_d = [{begin}, {begin + length_d}] }}\n'
     (folder / "case.toml").write_text(text, encoding="utf-8")
     return load_case(folder)
+
+
+def information_widths(
+    problem: CalibrationProblem, truth: FloatArray, noise: tuple[float, float]
+) -> FloatArray:
+    """Return how wide 90 % intervals are by the information of the samples. Shape (p,). [1].
+
+    Args:
+        problem: Whose measurement has the same weight for every sample.
+        truth: The true point. Shape (p,). [1]
+        noise: Standard deviation of a residual [first output's unit], correlation of the noise [1].
+    """
+    (deviation, rho), step = noise, STEP * np.eye(len(truth))
+    ends = np.concatenate([truth + step, truth - step])
+    # A truth beside a bound is no reason not to look beyond it.
+    answer = problem.judge(ends, problem.model.simulate(problem.space.from_unit(ends)))
+    above, below = np.split(answer.residuals, 2)
+    slopes = (above - below) / (2.0 * STEP * deviation)
+    information = slopes @ slopes.T * (1.0 - rho) / (1.0 + rho)
+    return np.asarray(2.0 * NORMAL_95 * np.sqrt(np.diag(np.linalg.inv(information))))
 
 
 def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace) -> dict[str, Any]:
@@ -78,7 +121,7 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     space = case.parameter_space
     truth = rng.random(space.n_parameters)
     y = model.simulate(space.from_unit(truth[None])).y[0]
-    measurement = disturbed(case, y, options.rho, options.scale, rng)
+    measurement = disturbed(case, y, options, rng)
     diary = Diary(model)
     asked = CalibrationProblem(diary, measurement)
     ode = learned_ode(case, model, asked)
@@ -106,7 +149,41 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
         "width_linear": (linear_high - linear_low).tolist(),
         "worth": sample.n_effective / len(sample.weights),
         "calls": [found.n_calls, judged.n_calls],
+        "theory": information_widths(
+            problem, truth, (float(measurement.uncertainty[0]), 0.0 if options.declared else options.rho)
+        ).tolist(),
+        "off": (space.to_unit(found.theta) - truth).tolist(),
     }
+
+
+def median(values: FloatArray, *, mean: bool = False) -> float:
+    """Return the median or mean of values, NaN of none."""
+    return float(np.mean(values) if mean else np.median(values)) if values.size else float("nan")
+
+
+def print_shrinkage(
+    before: list[dict[str, Any]], after: list[dict[str, Any]], names: tuple[str, ...]
+) -> None:
+    """Print how intervals shrink with twice the experiments, beside the theory.
+
+    Args:
+        before: Runs with half the experiments, of the same truths.
+        after: Runs with all.
+        names: Names of the parameters; those that come first are the same in both.
+    """
+    n = min(len(before[0]["theory"]), len(names))
+    widths = {
+        key: [np.array([run[key][:n] for run in runs]) for runs in (before, after)]
+        for key in ("width", "theory")
+    }
+    is_narrow = widths["theory"][0] < WIDE
+    found, theory = (np.where(is_narrow, b / a, np.nan) for a, b in widths.values())
+    print("\n| parameter | truths | intervals shrink to | theory | one by the other |\n|---|---|---|---|---|")
+    for j in range(n):
+        if is_narrow[:, j].any():
+            medians = [float(np.nanmedian(one[:, j])) for one in (found, theory, found / theory)]
+            cells = " | ".join(f"{one:.2f}" for one in medians)
+            print(f"| {names[j]} | {is_narrow[:, j].sum()} | {cells} |")
 
 
 def main() -> None:
@@ -120,11 +197,15 @@ def main() -> None:
     parser.add_argument(
         "--rho", type=float, default=0.0, help="correlation of the noise from sample to sample"
     )
+    parser.add_argument(
+        "--declared", action="store_true", help="the measurement says how long its errors last"
+    )
     parser.add_argument("--scale", type=float, default=1.0, help="noise over the sensor's uncertainty")
     parser.add_argument(
         "--noise", choices=get_args(NoiseKind), default="correlated", help="what it is taken for"
     )
     parser.add_argument("--experiments", type=int, help="how many of --days; default: the case's window")
+    parser.add_argument("--own", nargs="*", default=[], help="parameters with a value per experiment")
     parser.add_argument("--days", type=float, default=0.75, help="length of an experiment")
     parser.add_argument("--max-calls", type=int, default=100, help="of each assessment")
     parser.add_argument("--calibration-calls", type=int, default=100)
@@ -132,14 +213,22 @@ def main() -> None:
         "--json", type=Path, default=ROOT / "mlruns" / "benchmarks" / "interval_coverage.json"
     )
     options = parser.parse_args()
+    if options.declared and not 0.0 < options.rho < 1.0:
+        parser.error("--declared needs --rho between 0 and 1")
     kept: dict[str, Any] = json.loads(options.json.read_text()) if options.json.is_file() else {}
     case = load_case(ROOT / "fmus" / options.case)
     if options.experiments is not None:
         with tempfile.TemporaryDirectory() as folder:
-            case = in_experiments(options.case, options.experiments, options.days, Path(folder))
-    said = f"rho {options.rho:g} | scale {options.scale:g} | {options.noise} | {options.max_calls}"
-    cut = "" if options.experiments is None else f" in {options.experiments} of {options.days:g} d"
-    name = f"{options.case}{cut} | {said}"
+            case = in_experiments(options.case, options.experiments, options.days, options.own, Path(folder))
+    declared = " declared" if options.declared else ""
+    said = f"rho {options.rho:g}{declared} | scale {options.scale:g} | {options.noise} | {options.max_calls}"
+    own = "".join(f", own {one}" for one in options.own)
+
+    def name_of(n: int | None) -> str:
+        cut = "" if n is None else f" in {n} of {options.days:g} d{own}"
+        return f"{options.case}{cut} | {said}"
+
+    name = name_of(options.experiments)
     seeds = range(options.first_seed, options.first_seed + options.truths)
     with_states = watching_states(case)
     with ExitStack() as stack:
@@ -164,14 +253,31 @@ def main() -> None:
     print(
         f"{name}: {len(runs)} truths, median MSE / the truth's {error:.3f}, calls {calls}, worth {worth:.2f}"
     )
-    print("| parameter | posterior holds | width | linearised holds | width |\n|---|---|---|---|---|")
-    columns = [
+    held, width, held_linear, width_linear, theory, off = (
         np.array([run[key] for run in runs], dtype=float)
-        for key in ("held", "width", "held_linear", "width_linear")
-    ]
-    for j, parameter in enumerate(case.parameter_space.names):
-        print(f"| {parameter} | " + " | ".join(f"{column[:, j].mean():.2f}" for column in columns) + " |")
-    print("| all | " + " | ".join(f"{column.mean():.2f}" for column in columns) + " |")
+        for key in ("held", "width", "held_linear", "width_linear", "theory", "off")
+    )
+    # Of the determined ones, how wide intervals are by the theory, and how far off in its deviations.
+    is_narrow = theory < WIDE
+    ratio = np.where(is_narrow, width / theory, np.nan)
+    score = np.where(is_narrow, off * 2.0 * NORMAL_95 / theory, np.nan)
+    names = case.parameter_space.names
+    print(
+        "| parameter | posterior holds | width | linearised holds | width | truths with a theory | "
+        "width / theory, median | off, RMS deviations |\n|" + "---|" * 8
+    )
+    for j in [*range(len(names)), slice(None)]:
+        shares = (float(one[:, j].mean()) for one in (held, width, held_linear, width_linear))
+        there = is_narrow[:, j]
+        by_theory = [median(ratio[:, j][there]), float(np.sqrt(median(score[:, j][there] ** 2, mean=True)))]
+        label = "all" if isinstance(j, slice) else names[j]
+        cells = [*(f"{one:.2f}" for one in shares), f"{is_narrow[:, j].sum()}"]
+        print(f"| {label} | " + " | ".join([*cells, *(f"{one:.2f}" for one in by_theory)]) + " |")
+    half = (
+        [] if not options.experiments else [f"{name_of(options.experiments // 2)} | {one}" for one in seeds]
+    )
+    if half and all(key in kept for key in half):
+        print_shrinkage([kept[key] for key in half], runs, names)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).parent)]
 
 from fewest_calls.kept import Kept  # noqa: E402
-from fewest_calls.problems import posed, problems  # noqa: E402
+from fewest_calls.problems import PosedModel, posed, problems  # noqa: E402
 from interval_coverage import Diary  # noqa: E402
 
 from simulation.arrays import FloatArray  # noqa: E402
@@ -96,8 +96,8 @@ def earlier(change: float) -> Callable[[CalibrationProblem, int], FloatArray]:
     def rows(problem: CalibrationProblem, seed: int) -> FloatArray:
         other = with_wave(problem, change, seed)
         diary = Diary(problem.model)
-        assert isinstance(problem.model, WatchedModel)
-        calibrated(other.on(diary), seed + 1000, problem.model)
+        assert isinstance(problem.model, PosedModel)
+        calibrated(other.on(diary), seed + 1000, problem.model.states)
         return problem.space.to_unit(np.concatenate([answer.theta for answer in diary.answers]))
 
     return rows
@@ -146,9 +146,9 @@ def main() -> None:
                 for seed in range(options.seeds):
                     known = problem.evaluate(rows_of(problem, seed))
                     known = problem.evaluate(known.u[best_and_far(known.u, -known.objective)])
-                    assert isinstance(problem.model, WatchedModel)
+                    assert isinstance(problem.model, PosedModel)
                     are_seen = "training" not in name
-                    found = calibrated(problem, seed, problem.model, known, are_seen=are_seen)
+                    found = calibrated(problem, seed, problem.model.states, known, are_seen=are_seen)
                     results.append(found)
                 reached = [
                     [

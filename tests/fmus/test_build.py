@@ -15,7 +15,15 @@ def contents(fmu):
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-FOLDERS = ("office", "office-whitebox", "office-whitebox-metered", "thermostat", "vanderpol", "wall")
+FOLDERS = (
+    "office",
+    "office-whitebox",
+    "office-whitebox-metered",
+    "thermostat",
+    "two-rooms",
+    "vanderpol",
+    "wall",
+)
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

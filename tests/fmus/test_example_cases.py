@@ -9,9 +9,15 @@ from fmu_for_tests import REPOSITORY
 from generated_data import generator_of
 
 from simulation import FmuModel, Parameter, ParameterSpace, load_case
+from simulation.case import named_experiments
 from simulation.scenario import Scenario
 
-FMUS = {"vanderpol": "VanDerPol.fmu", "wall": "Wall.fmu", "thermostat": "Thermostat.fmu"}
+FMUS = {
+    "vanderpol": "VanDerPol.fmu",
+    "wall": "Wall.fmu",
+    "thermostat": "Thermostat.fmu",
+    "two-rooms": "TwoRooms.fmu",
+}
 FOLDERS = {name: REPOSITORY / "fmus" / name for name in FMUS}
 
 
@@ -88,16 +94,35 @@ def test_the_thermostat_switches_when_the_closed_form_does(changes):
     np.testing.assert_allclose(y[:, 1], expected[:, 1], rtol=0, atol=1e-2)
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_two_rooms_follow_their_matrix_exponential(seed):
+    generator, case = generator_of("two-rooms"), load_case(FOLDERS["two-rooms"])
+    rng = np.random.default_rng(seed)
+    theta = {key: v * (1.0 if "T" in key else rng.uniform(0.2, 5.0)) for key, v in generator.TRUTH.items()}
+    theta |= {key: rng.uniform(270.0, 300.0) for key in ("T1Start", "T2Start", "TWallStart")}
+    theta["GDoor"] = 30.0 * seed
+    inputs = rng.uniform([255.0, 0.0, 0.0, 0.0], [305.0, 500.0, 2000.0, 2000.0], size=(300, 4))
+    y = simulate(case, theta, inputs=inputs, step_s=900.0, n_steps=300)
+    np.testing.assert_allclose(y, generator.answer(inputs, 900.0, theta)[:, :2], rtol=0, atol=1e-8)
+
+
 def test_the_truth_leaves_the_noise(name):
-    case, truth = load_case(FOLDERS[name]), generator_of(name).TRUTH
-    theta = np.array([[truth[key] for key in case.parameter_space.names]])
-    with case.open_model() as model:
-        answer = model.simulate(theta)
-    assert answer.failures == ("",)
-    for index, output in enumerate(case.outputs):
-        rms = np.sqrt(np.mean(case.measurement.differences(answer.y, index) ** 2))
-        # Sampled noise, and for the wall the weather between two of its samples.
-        assert 0.3 < rms / output.uncertainty < 1.3
+    whole, generator = load_case(FOLDERS[name]), generator_of(name)
+    parts = list(named_experiments(whole)) or [("", whole)]
+    for experiment, case in parts:
+        truth = generator.TRUTH
+        if experiment:
+            start = int(case.scenario.time_communication[0] / generator.STEP_S)
+            states = generator.states_of(generator.weather_and_heaters(np.random.default_rng(generator.SEED)))
+            truth = truth | {"TWallStart": states[start, 2]}
+        theta = np.array([[truth[key] for key in case.parameter_space.names]])
+        with case.open_model() as model:
+            answer = model.simulate(theta)
+        assert answer.failures == ("",)
+        for index, output in enumerate(case.outputs):
+            rms = np.sqrt(np.mean(case.measurement.differences(answer.y, index) ** 2))
+            # Sampled noise, and for the wall the weather between two of its samples.
+            assert 0.3 < rms / output.uncertainty < 1.3
 
 
 def test_the_recordings_are_rewritten_bit_for_bit(name, tmp_path, monkeypatch):

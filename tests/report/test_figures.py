@@ -20,7 +20,7 @@ from records_for_tests import (
 )
 
 from simulation.case import Case
-from simulation.measurement import Samples
+from simulation.samples import Samples
 from studies.report.drawing import Figure, with_gaps, write_png
 from studies.report.figures_calibration import (
     band_figure,

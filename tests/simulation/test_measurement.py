@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from simulation import Measurement
-from simulation.measurement import Samples
+from simulation.limits import Limits
 from simulation.robust_loss import LossKind, RobustLoss
+from simulation.samples import Samples
 
 TIME = np.arange(6) * 600.0
 SIGMA = np.array([0.5])
@@ -140,3 +141,75 @@ def test_a_loss_leaves_small_differences_as_they_are_and_can_be_undone(kind: Los
         assert shrunk[0] == size
     assert shrunk[0] <= size
     np.testing.assert_allclose(loss.grown(shrunk), d, rtol=1e-12)
+
+
+def _whitened(tau: tuple[float, float]) -> Measurement:
+    rng = np.random.default_rng(2)
+    samples = tuple(Samples(np.sort(rng.uniform(0, 3000, m)), rng.normal(20.0, size=m)) for m in (9, 30))
+    plain = Measurement(TIME, samples, ("a", "b"), np.array([0.5, 40.0]), np.array([1.0, 3.0]))
+    return replace(plain, correlation_s=np.array(tau))
+
+
+def test_squares_of_correlated_errors_are_those_of_the_likelihood():
+    measurement, rows = _whitened((900.0, 0.0)), _rows(3, 2)
+    at, scales = measurement.samples[0].time, measurement.scales
+    likely = np.linalg.inv(np.exp(-np.abs(at[:, None] - at) / 900.0))
+    for row, residuals in zip(rows, measurement.compared(rows), strict=True):
+        first, second = (measurement.differences(row[None], k)[0] for k in (0, 1))
+        # The output without a correlation time counts as it did.
+        expected = scales[0] ** 2 * first @ likely @ first + scales[1] ** 2 * second @ second
+        assert residuals @ residuals == pytest.approx(expected, rel=1e-10)
+    assert measurement.error_name == "whitened MSE"
+
+
+def test_scaled_differences_are_those_without_a_correlation_time():
+    measurement, rows = _whitened((900.0, 4000.0)), _rows(3, 2)
+    plain = replace(measurement, correlation_s=None)
+    found = measurement.scaled_differences(measurement.compared(rows))
+    np.testing.assert_allclose(found, plain.compared(rows), rtol=1e-9)
+    assert measurement.digest != plain.digest
+
+
+def _limited(at_least: float, at_most: float, *, is_alone: bool) -> Measurement:
+    measured = _grid(_rows(1, 2)[0], np.array([0.5, 2.0]), np.array([2.0, 3.0]))
+    limits = Limits(TIME[2:], at_least, at_most, is_alone=is_alone)
+    samples = (
+        Samples(TIME[2:], np.full(4, at_most)) if is_alone else measured.samples[0],
+        measured.samples[1],
+    )
+    return replace(measured, samples=samples, limits=(limits, None))
+
+
+@pytest.mark.parametrize("is_alone", [False, True])
+def test_only_what_lies_beyond_a_limit_counts(is_alone: bool):
+    measurement, rows = _limited(18.0, 21.0, is_alone=is_alone), _rows(3, 2)
+    measured = _grid(_rows(1, 2)[0]).y
+    for row, error in zip(rows, measurement.mse(rows), strict=True):
+        excess = [max(v - 21.0, 0.0) + max(18.0 - v, 0.0) for v in row[2:, 0]]
+        first = np.mean((row[:, 0] - measured[:, 0]) ** 2)
+        second = np.mean((0.5 / 2.0 * (row[:, 1] - measured[:, 1])) ** 2)
+        parts = 2.0 * np.mean(np.square(excess)) + 3.0 * second + (0.0 if is_alone else 2.0 * first)
+        assert error == pytest.approx(parts / (3.0 if is_alone else 5.0), rel=1e-12)
+    assert measurement.measured == ((1,) if is_alone else (0, 1))
+    assert len(measurement.output_of) == measurement.n_samples == rows.shape[1] * 2 + (-2 if is_alone else 4)
+
+
+@pytest.mark.parametrize("is_alone", [False, True])
+def test_limits_that_are_kept_change_no_error(is_alone: bool):
+    kept, rows = _limited(-1e3, 1e3, is_alone=is_alone), _rows(4, 2)
+    measured = [1] if is_alone else [0, 1]
+    plain = Measurement(
+        TIME,
+        tuple(kept.samples[k] for k in measured),
+        tuple(kept.output_names[k] for k in measured),
+        kept.uncertainty[measured] / kept.uncertainty[measured[0]] * kept.uncertainty[0],
+        kept.weights[measured],
+    )
+    factor = (kept.uncertainty[0] / kept.uncertainty[measured[0]]) ** 2
+    np.testing.assert_allclose(kept.mse(rows), factor * plain.mse(rows[:, :, measured]), rtol=1e-12)
+
+
+def test_limits_alone_are_no_target():
+    both = _limited(18.0, 21.0, is_alone=True)
+    with pytest.raises(ValueError, match="no output is measured"):
+        replace(both, limits=(both.limits[0],) * 2)

@@ -17,7 +17,7 @@ from fewest_calls.noise import red_noise
 from fewest_calls.slab import generate as slab_truth
 from simulation import Case, FmuModel
 from simulation.arrays import FloatArray
-from simulation.measurement import Samples
+from simulation.samples import Samples
 
 KELVIN = 273.15
 

@@ -10,7 +10,6 @@ from importlib.util import find_spec
 
 from fewest_calls import peers_bayesian, peers_least_squares, peers_modestpy, peers_scalar
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 
 Search = Callable[[CalibrationProblem, int, int], AdaptiveResult | None]
@@ -57,8 +56,7 @@ def adaptive(n_parallel: int = 1, *, state_equations: bool = False) -> Search:
         watched = problem.model.watched  # type: ignore[attr-defined]
         if not state_equations:
             return chosen.minimize(problem, seed=seed, network_inputs=watched.network_inputs)
-        equations = LearnedODE(watched.signals, watched.seen, problem)
-        return chosen.minimize(problem, seed=seed, learned_ode=equations)
+        return chosen.minimize(problem, seed=seed, learned_ode=watched.learned_ode(problem))
 
     return search
 

@@ -1,7 +1,7 @@
 """The problems by family, their seeded instances, and the best error that brute force finds."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,14 +11,17 @@ from multistart_for_tests import multistart
 
 from fewest_calls.instances import Instance, of_case
 from fewest_calls.instances_office import WINDOWS_D, office_instance
-from simulation import Case, load_case
+from simulation import Case, Trajectories, load_case
 from simulation.arrays import FloatArray
-from simulation.forward_model import ForwardModel
+from simulation.experiments import JoinedModel
+from simulation.forward_model import ForwardModel, WrappedModel
+from studies.calibration.experiments_ode import learned_ode, watched_model
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.network_inputs import NetworkInputs
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.states import watching_states
 
 ROOT = Path(__file__).parents[3]
 HERE = Path(__file__).parent
@@ -64,6 +67,7 @@ FAMILIES = {
     "office instances": "Office, drawn",
     "white box": "White-box office, 21 parameters",
     "wall": "Wall, two outputs",
+    "two-rooms": "Two rooms, seven experiments",
     "vanderpol": "Van der Pol, nonlinear",
     "thermostat": "Thermostat, events",
     "heating circuit": "Heating circuit, two switches",
@@ -75,6 +79,7 @@ FAMILIES = {
 }
 _ONE_CASE = {
     "wall": (ROOT / "fmus" / "wall", 5000, 24, 0),
+    "two-rooms": (ROOT / "fmus" / "two-rooms", 5000, 8, 0),
     "vanderpol": (ROOT / "fmus" / "vanderpol", 5000, 40, 1),
     "thermostat": (ROOT / "fmus" / "thermostat", 2000, 12, 2),
     "heating circuit": (HERE / "heating_circuit", 2000, 8, 1),
@@ -84,6 +89,8 @@ _ONE_CASE = {
     "wall inside": (HERE / "wall_inside", 5000, 8, 0),
     "house inside": (HERE / "house_inside", 5000, 8, 0),
 }
+
+_NO_INSTANCES = ("two-rooms",)
 
 
 def problems(instances: Sequence[int]) -> Iterator[Problem]:
@@ -111,7 +118,7 @@ def problems(instances: Sequence[int]) -> Iterator[Problem]:
         yield Problem(f"white box, instance {seed}", "white box", make, most_calls=400, n_starts=1)
     for family, (path, most_calls, n_starts, n_evolutions) in _ONE_CASE.items():
         yield Problem(family, family, partial(_case, path, None), most_calls, n_starts, n_evolutions)
-        for seed in instances:
+        for seed in instances if family not in _NO_INSTANCES else ():
             make = partial(_instance, path, seed)
             name = f"{family}, instance {seed}"
             yield Problem(name, family, make, most_calls, n_starts, n_evolutions)
@@ -126,20 +133,36 @@ def _instance(path: Path, seed: int) -> Instance:
     return of_case(load_case(path), seed)
 
 
-class PosedModel(WatchedModel):
+class PosedModel(WrappedModel):
     """A case's model that remembers what the states did, and what drives it."""
 
     def __init__(self, model: ForwardModel, case: Case) -> None:
-        """Wrap the model of a case that watches its states."""
-        super().__init__(model, StateSignals.of(case))
+        """Wrap the model of a case that watches its states, that of all its experiments where it has some."""
+        self.states, self._case = watched_model(case, model), case
+        super().__init__(self.states)
         self.network_inputs = NetworkInputs.of(case)
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate; a row of several experiments is one call."""
+        return self.states.simulate(theta)
+
+    def learned_ode(self, problem: CalibrationProblem) -> LearnedODE:
+        """Return what learns the state equations of a problem that is posed to this model."""
+        return learned_ode(self._case, self.states, problem)
 
 
 @contextmanager
 def posed(case: Case) -> Iterator[CalibrationProblem]:
     """Open a case's model and pose its problem; what the states did is there for who looks."""
-    with watching_states(case).open_model() as model:
-        yield CalibrationProblem(PosedModel(model, case), case.measurement)
+    with_states = watching_states(case)
+    if case.layout is None:
+        with with_states.open_model() as model:
+            yield CalibrationProblem(PosedModel(model, case), case.measurement)
+        return
+    rows = with_states.experiment_rows
+    with closing(rows.open()) as parts:
+        joined = JoinedModel(parts, rows, case.parameter_space)
+        yield CalibrationProblem(PosedModel(joined, case), case.measurement)
 
 
 def brute_force(problem: CalibrationProblem, posed_as: Problem, made: Instance) -> Best:
