@@ -198,8 +198,8 @@ def tune(
                 is_late = until_s is not None and time.time() >= until_s
                 n_free = n_jobs - sum(len(one.workers) for one in largest_first)
                 # Trials are read where a worker may begin: to read them takes time from those that train.
-                is_looking = bool(n_free) and not is_late
-                waiting = [size for size in largest_first if is_looking and size.is_waiting(n_parallel)]
+                may_begin = bool(n_free) and not is_late
+                waiting = [size for size in largest_first if may_begin and size.is_waiting(n_parallel)]
                 for size in waiting:
                     for _ in range(min(n_free, n_parallel - len(size.workers))):
                         size.start_worker(paths, until_s)
@@ -207,7 +207,7 @@ def tune(
                 busy = [size for size in largest_first if size.workers]
                 for part in (part for size in busy for part in size.parts):
                     on_trials(part.spec, part.trials)
-                for size in largest_first if is_looking or is_late else []:
+                for size in largest_first if may_begin or is_late else []:
                     if not size.workers and size not in waiting and not size.results:
                         size.results = {part.spec.name: part.close() for part in size.parts}
                 if not busy and not waiting:

@@ -79,7 +79,7 @@ def test_the_likelihood_of_correlated_errors_is_as_wide_as_their_means_scatter()
         beside = means[0] + step * np.array([-1.0, 0.0, 1.0])[:, None, None] + np.zeros((m, 1))
         below, at, above = noise.log_likelihood(measurement.mse(beside))
         widths[name] = step / np.sqrt(2.0 * at - below - above)
-    # 1,000 means tell their deviation to 2 %.
+    # 1,000 means show their deviation to 2 %.
     assert widths["declared"] == pytest.approx(means.std(), rel=0.07)
     assert widths["plain"] < 0.4 * means.std()
 
