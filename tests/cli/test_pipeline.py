@@ -84,7 +84,7 @@ def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.Capture
         == plain(second.result)
         == {
             "n": 7,
-            "fit": {"rmse": 0.5, "uncertainty": None, "share_within": 0.1 + 0.2},
+            "fit": dict.fromkeys(Fit.__dataclass_fields__) | {"rmse": 0.5, "share_within": 0.1 + 0.2},
             "error": None,
             "has_failures": False,
         }
