@@ -25,8 +25,10 @@ from studies.stages.stage_results import Calibration, Uncertainty
 from studies.uncertainty.noise import Noise
 
 if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
-    from simulation.case import Case
+    from simulation.case import Case, Output
 
+MOST_NAMED, FARTHEST = 4, 3
+"""Outputs up to which a sentence names all, and how many it names of more."""
 UNCORRELATED = 0.9
 """Samples that are worth this share of their number are said to be uncorrelated."""
 FITS_BETTER = 0.99
@@ -68,20 +70,30 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
 
 def _fit(case: "Case", found: Calibration) -> str:
     parts = []
-    for output in (case.outputs[k] for k in case.measurement.measured):
+    for output in _shown(case, found):
         fit, unit = found.outputs[output.name], difference_unit(output.unit)
         part = f"{output.name} differs by {quantity(fit.rmse, unit)} (RMS)"
         if fit.uncertainty is not None and fit.share_within is not None:
             sensor = f"±{fit.uncertainty:g} {unit}".strip()
             part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
         parts.append(part)
-    return _begun(f"{compared_in(case)} {'; '.join(parts)}")
+    n_left = len(case.measurement.measured) - len(parts)
+    less = f"; the other {n_left} outputs by a smaller part of their range" if n_left else ""
+    return _begun(f"{compared_in(case)} {'; '.join(parts)}{less}")
+
+
+def _shown(case: "Case", found: Calibration) -> list["Output"]:
+    """Return the measured outputs that a sentence names: all, or of many those that differ most."""
+    measured = [case.outputs[k] for k in case.measurement.measured]
+    if len(measured) <= MOST_NAMED:
+        return measured
+    return sorted(measured, key=lambda output: found.outputs[output.name].nrmse or 0.0)[: -FARTHEST - 1 : -1]
 
 
 def _relative(case: "Case", found: Calibration) -> list[str]:
     """Say how large differences are relative to what was measured, of the outputs that have it."""
     parts = []
-    for output in case.outputs:
+    for output in _shown(case, found):
         fit = found.outputs[output.name]
         shares = [
             f"{name} {percent(share)}"
