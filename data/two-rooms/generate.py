@@ -112,12 +112,10 @@ def main() -> None:
     rooms = states_of(inputs)[:, :2] - KELVIN
     rooms = rooms + NOISE_K * rng.standard_normal(rooms.shape)
     driven = np.vstack([inputs, inputs[-1:]])
-    rows = [
-        f"{STEP_S * k:.0f},{out:.2f},{sun:.1f},{q1:.0f},{q2:.0f},{t1:.2f},{t2:.2f}"
-        for k, ((out, sun, q1, q2), (t1, t2)) in enumerate(zip(driven, rooms, strict=True))
-    ]
+    table = np.column_stack([STEP_S * np.arange(len(driven)), driven, rooms])
     head = "time_s,TOutdoor_degC,sun_W_m2,heater1_W,heater2_W,TRoom1_degC,TRoom2_degC"
-    (HERE / "recording.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    digits = ["%.0f", "%.2f", "%.1f", "%.0f", "%.0f", "%.2f", "%.2f"]
+    np.savetxt(HERE / "recording.csv", table, digits, ",", header=head, comments="")
 
 
 if __name__ == "__main__":
