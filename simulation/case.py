@@ -162,6 +162,19 @@ class Case:
         named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s} | kept)
         return digest_of(named, space.lower, space.upper, scenario.time_communication, *scenario.driving)
 
+    def differs_in_values(self, other: "Case") -> bool:
+        """Return whether another experiment differs in inputs' courses, times and fixed values at most."""
+
+        def kind(case: Case) -> str:
+            steps_s = (case.communication_step_s, case.output_step_s)
+            return _json(case._named | {"fixed": sorted(case.fixed), "steps_s": steps_s})
+
+        bounds = (self.parameter_space.parameters, self.parameter_space.constraints)
+        return kind(self) == kind(other) and bounds == (
+            other.parameter_space.parameters,
+            other.parameter_space.constraints,
+        )
+
     @property
     def _named(self) -> dict[str, Any]:
         """What decides answers and has a name; what the case leaves as usual is left out."""

@@ -32,6 +32,10 @@ class CountingModel(WrappedModel):
         self.budget = budget
         self.n_calls = 0
 
+    def pay(self, n_rows: int) -> None:
+        """Count rows that were asked in another way; a negative number gives them back."""
+        self.n_calls += n_rows
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Count the rows and simulate them.
 

@@ -298,3 +298,12 @@ class JoinedModel:
             self.rows.answer(answer.take(np.arange(place * n, (place + 1) * n)), place) for place in places
         ]
         return self.rows.layout.join(theta, parts)
+
+    def simulate_alone(self, theta: FloatArray, place: int) -> Trajectories:
+        """Simulate every row in one experiment, as its own model would.
+
+        Args:
+            theta: Parameters of all experiments. Shape (n, p). [per parameter]
+            place: Which experiment.
+        """
+        return self.rows.answer(self.model.simulate(self.rows.rows(theta, place)), place)

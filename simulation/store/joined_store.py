@@ -210,31 +210,46 @@ class StoredExperiments(StoredModel):
             theta: Parameters. Shape (n, p). [per parameter]
             on_progress: Called with the number of rows that are stored so far.
         """
-        theta = np.array(theta, dtype=np.float64)
-        rows, wanted = self._joined.rows, list[FloatArray]()
-        lacking = [self._missing(place, theta) for place in self._places]
-        for place, one in enumerate(rows.layout.experiments):
-            missing = theta[lacking[place]]
-            # Each missing part once, by the exact bytes of the experiment's own parameters.
-            parts = {row[one.parameters].tobytes(): row for row in missing}
-            wanted.append(rows.rows(np.array([*parts.values()]).reshape(-1, theta.shape[1]), place))
-        asked, n_parts = np.concatenate(wanted), len(theta) * len(self._places)
-        n_stored = n_parts - len(asked)
-        n_new = int(np.any(lacking, axis=0).sum())
+        n_new = int(self.missing(theta).sum())
         self.n_reused += len(theta) - n_new
         self.n_simulated += n_new
+        self._complete(theta, self._places, on_progress)
+
+    def simulate_alone(self, theta: FloatArray, place: int) -> Trajectories:
+        """Return rows of one experiment, as its own model would; those that are not stored are simulated.
+
+        Args:
+            theta: Parameters of all experiments. Shape (n, p). [per parameter]
+            place: Which experiment.
+        """
+        self._complete(theta, [place])
+        store, one = self._joined_store.stores[place], self._joined_store.layout.experiments[place]
+        return store.read(self._joined_store.layout.theta_of(one, theta))
+
+    def _complete(
+        self, theta: FloatArray, places: Sequence[int], on_progress: Callable[[int], None] | None = None
+    ) -> None:
+        theta = np.array(theta, dtype=np.float64)
+        rows, wanted = self._joined.rows, list[FloatArray]()
+        for place in places:
+            own = rows.layout.experiments[place].parameters
+            # Each missing part once, by the exact bytes of the experiment's own parameters.
+            parts = {row[own].tobytes(): row for row in theta[self._missing(place, theta)]}
+            wanted.append(rows.rows(np.array([*parts.values()]).reshape(-1, theta.shape[1]), place))
+        asked = np.concatenate(wanted)
+        n_stored = len(theta) * len(places) - len(asked)
         if on_progress is not None:
-            on_progress(n_stored // len(self._places))
+            on_progress(n_stored // len(places))
         if not len(asked):
             return
         pool = self._joined.model
         assert isinstance(pool, PoolModel), "rows of experiments come from a pool"
         with closing(pool.as_finished(asked)) as chunks:
             for _, chunk in chunks:
-                places = chunk.theta[:, 0].astype(np.int64)
-                for place in np.unique(places):
-                    part = rows.answer(chunk.take(places == place), int(place))
+                answered = chunk.theta[:, 0].astype(np.int64)
+                for place in np.unique(answered):
+                    part = rows.answer(chunk.take(answered == place), int(place))
                     self._joined_store.stores[place].append(part)
                 n_stored += chunk.n
                 if on_progress is not None:
-                    on_progress(n_stored // len(self._places))
+                    on_progress(n_stored // len(places))

@@ -95,6 +95,7 @@ class AdaptiveSearch:
         self._penalty_expected: Penalty | None = self._prior
         self._failed_hyper: FloatArray | None = None
         self._radius = SEARCH.radius
+        self._n_alone = 0
         self._phase = SearchPhase()
         self._confirmation = Confirmation()
         self.n_rounds = 0
@@ -132,9 +133,12 @@ class AdaptiveSearch:
         # What equations have left of the first design is asked once they are not believed.
         if len(self._unasked) and self._believed is None:
             return self._ask_rest
+        n_good = np.isfinite(self._objective).sum()
         # A process needs two rows that succeeded.
-        if np.isfinite(self._objective).sum() < 2:
+        if n_good < 2 and self._believed is None:
             return self._ask_anywhere
+        if not n_good:
+            return self._ask_by_equations
         if self._network is not None:
             proposed = self._network.propose(self._settings.n_parallel)
             if proposed is not None:
@@ -147,7 +151,7 @@ class AdaptiveSearch:
                 converged=True,
             )
         if not self._phase_is_over:
-            return self._search
+            return self._search if n_good > 1 else self._ask_by_equations
         if self._is_at_best and not self._window.is_whole and self._may_double_window:
             return self._double_window
         if self._believed is not None:
@@ -222,6 +226,10 @@ class AdaptiveSearch:
         """Ask a first design, round by round where state equations may take less of it."""
         n_asked, q = 0, self._settings.n_parallel
         if self._ode is not None:
+            self._n_alone = self._ode.learn_alone(np.round(design, SEARCH.decimals))
+            self._recorder.pay(self._n_alone)
+            if self._believed is None:
+                self._forget_alone()
             n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, len(design))
             # Whole rounds: one with idle workers takes as long.
             n_next = math.ceil(LEAST_TO_LEARN / q) * q
@@ -233,8 +241,29 @@ class AdaptiveSearch:
 
     def _ask_rest(self) -> None:
         """Ask what state equations have left of the first design."""
+        self._forget_alone()
         self._unasked, rest = self._unasked[:0], self._unasked
         self._ask(rest)
+
+    def _forget_alone(self) -> None:
+        """Do not count what was simulated in single experiments: the whole rows that follow hold it."""
+        if self._ode is not None and self._n_alone:
+            self._recorder.pay(-self._n_alone)
+            self._n_alone = self._ode.n_alone = 0
+
+    def _ask_by_equations(self) -> None:
+        """Make a round by equations that are believed before there are two rows, which a process needs."""
+        assert self._believed is not None, "they propose the point"
+        point, expected = self._believed.propose(self._objective, self._u, self._rng)
+        lowest = float(self._objective.min(initial=np.inf))
+        promise = lowest - expected.value
+        if promise <= self._least_gain * lowest < np.inf:
+            self.expected_gain = max(promise / lowest, 0.0) if lowest > 0.0 else 0.0
+            self._phase.n_idle += 1
+            self._forget_proposal()
+            return
+        self._ask(point[None])
+        self._phase.lowest.append(self._phase_best)
 
     def _ask_anywhere(self) -> None:
         """Ask a round of random rows."""

@@ -4,18 +4,21 @@ The model is the same, but inputs, start and fixed values are not. Each experime
 states; the residuals of all are minimized together.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.case import Case
-from simulation.experiments import Experiment, Layout
+from simulation.experiments import Experiment, JoinedModel, Layout
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
+from simulation.store.joined_store import StoredExperiments
 from simulation.trajectories import Trajectories
+from studies.calibration.coefficient import LEAST_TO_LEARN
 from studies.calibration.equation_model import EquationExperiments, EquationModel
-from studies.calibration.learned_ode import LearnedODE
+from studies.calibration.learned_ode import LearnedODE, enough_for_equations
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
@@ -86,27 +89,47 @@ class WatchedExperiments(WatchedModel):
             reported.append(part.reported(rows))
         return self._reported.join(theta, reported)
 
+    def simulate_alone(self, theta: FloatArray, place: int) -> Trajectories:
+        """Simulate every row in one experiment, and remember the rows before, too.
+
+        Args:
+            theta: Parameters of all experiments. Shape (n, p). [per parameter]
+            place: Which experiment.
+
+        Returns:
+            Its own outputs.
+        """
+        assert isinstance(self._model, JoinedModel | StoredExperiments), "the experiments' own model"
+        rows = self._model.simulate_alone(theta, place)
+        self.parts[place].remember(rows)
+        return self.parts[place].reported(rows)
+
 
 class ExperimentsODE(LearnedODE):
     """The state equations of a calibration problem with several experiments."""
 
     def __init__(
         self,
-        parts: Sequence[tuple[WatchedModel, CalibrationProblem]],
+        cases: Sequence[Case],
         layout: Layout,
+        model: WatchedExperiments,
         problem: CalibrationProblem,
     ) -> None:
         """Begin with nothing known.
 
         Args:
-            parts: Of each experiment the model that watches its states, and its own problem.
+            cases: The experiments.
             layout: How rows become one.
+            model: Watches the states of all of them.
             problem: The problem of all experiments.
         """
-        first = parts[0][0]
-        super().__init__(first.signals, first.seen, problem)
+        super().__init__(model.signals, model.parts[0].seen, problem)
+        parts = [
+            (part, CalibrationProblem(part, one.measurement))
+            for part, one in zip(model.parts, cases, strict=True)
+        ]
         self._parts = [LearnedODE(model.signals, model.seen, own) for model, own in parts]
-        self._layout = layout
+        self._layout, self._cases, self._model = layout, cases, model
 
     @property
     def is_believed(self) -> bool:
@@ -155,12 +178,68 @@ class ExperimentsODE(LearnedODE):
         # The first of each experiment, then the second ones.
         return np.concatenate(np.stack(by_experiment, axis=1))[:n]
 
+    def learn_alone(self, u: FloatArray) -> int:
+        """Learn the equations in few experiments and take them over in those that differ in values alone.
+
+        Args:
+            u: Points of the first design. Shape (n, p). [1]
+
+        Returns:
+            How many whole rows the simulations are worth, rounded up.
+        """
+        waiting = list(range(len(self._parts)))
+        while waiting:
+            # What rests in an experiment shows nothing there; of the others the shortest costs least.
+            leader = min(waiting, key=lambda place: (-self._n_moving(place), len(self._driven(place))))
+            if not self._learn_in(leader, u):
+                break
+            waiting = [place for place in waiting if place != leader and not self._follows(place, leader)]
+        return math.ceil(self.n_alone / len(self._parts))
+
+    def _driven(self, place: int) -> FloatArray:
+        return self._model.parts[place].signals.driven
+
+    def _n_moving(self, place: int) -> int:
+        driven = self._driven(place)
+        return int((driven != driven[0]).any(axis=0).sum())
+
+    def _learn_in(self, place: int, u: FloatArray) -> bool:
+        """Simulate one experiment alone, as far as its equations need it; return whether they are sure."""
+        part, own = self._parts[place], self._layout.experiments[place].parameters
+        n_asked = 0
+        for n in range(LEAST_TO_LEARN, min(enough_for_equations(len(own)), len(u)) + 1):
+            points = u[n_asked:n]
+            answer = self._model.simulate_alone(self._problem.space.from_unit(points), place)
+            part.note(part._problem.judge(points[:, own], answer))
+            self.n_alone += len(points)
+            n_asked = n
+            if part.is_sure:
+                return True
+        return False
+
+    def _follows(self, place: int, leader: int) -> bool:
+        """Let an experiment follow another one's equations, where these say what they are there."""
+        mine, its = self._cases[leader], self._cases[place]
+        equations = self._parts[leader]._equations
+        if equations is None or not mine.differs_in_values(its):
+            return False
+        pairs = [(value, its.fixed[name]) for name, value in mine.fixed.items() if its.fixed[name] != value]
+        if any(isinstance(value, str | bool) for pair in pairs for value in pair):
+            return False
+        changed = [(float(here), float(there)) for here, there in pairs]
+        found = equations.in_experiment(self._model.parts[place].signals, changed)
+        if found is not None:
+            self._parts[place].follow(found, self._parts[leader].misfit)
+        return found is not None
+
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked, each experiment from its part."""
         self.n_asked += self.predicted is not None
         for one, part in zip(self._layout.experiments, self._parts, strict=True):
             part.predicted = self.predicted
-            part.note(self._of(one, part._problem, answer))
+            # What was simulated alone is no news in a whole row.
+            if (is_new := ~part.knows(answer.u[:, one.parameters])).any():
+                part.note(self._of(one, part._problem, answer, np.flatnonzero(is_new)))
         good = np.isfinite(answer.mse)
         self._u = np.concatenate([self._u, answer.u[good]])
         self._answered = np.concatenate([self._answered, answer.residuals[good]])
@@ -173,19 +252,21 @@ class ExperimentsODE(LearnedODE):
         ]
         self.why_not = next(iter(lacking), "")
 
-    def _of(self, one: Experiment, problem: CalibrationProblem, answer: Evaluation) -> Evaluation:
-        """Return what rows are in one experiment."""
-        y = np.ascontiguousarray(answer.y[:, : one.n_times, one.outputs])
+    def _of(
+        self, one: Experiment, problem: CalibrationProblem, answer: Evaluation, rows: IntArray
+    ) -> Evaluation:
+        """Return what some rows are in one experiment."""
+        y = np.ascontiguousarray(answer.y[rows, : one.n_times][..., one.outputs])
         residuals = problem.measurement.compared(y)
-        mse = np.where(np.isfinite(answer.mse), np.mean(residuals**2, axis=1), np.inf)
+        mse = np.where(np.isfinite(answer.mse[rows]), np.mean(residuals**2, axis=1), np.inf)
         return Evaluation(
-            answer.u[:, one.parameters],
-            self._layout.theta_of(one, answer.theta),
+            answer.u[np.ix_(rows, one.parameters)],
+            self._layout.theta_of(one, answer.theta[rows]),
             y,
             residuals,
             mse,
             mse,
-            answer.failures,
+            tuple(answer.failures[row] for row in rows),
         )
 
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
@@ -227,8 +308,4 @@ def learned_ode(case: Case, model: WatchedModel, problem: CalibrationProblem) ->
     """
     if case.layout is None or not isinstance(model, WatchedExperiments):
         return LearnedODE(model.signals, model.seen, problem)
-    parts = [
-        (part, CalibrationProblem(part, one.measurement))
-        for part, one in zip(model.parts, case.experiments, strict=True)
-    ]
-    return ExperimentsODE(parts, case.layout, problem)
+    return ExperimentsODE(case.experiments, case.layout, model, problem)

@@ -91,13 +91,14 @@ class LearnedODE:
         self._n_examined = 0
         self._is_refuted = False
         self._equations: StateEquations | None = None
+        self._is_given = False
         self.predicted: float | None = None
         self._ends = self._u
         self._n_failed = 0
         self._has_failed = False
         self._mismatch = 0.0
         self.misfit = np.inf
-        self.n_asked = 0
+        self.n_asked = self.n_alone = 0
         self.why_not = f"fewer than {LEAST_TO_LEARN} simulations show what states did"
 
     @classmethod
@@ -217,6 +218,30 @@ class LearnedODE:
         """States whose equations it learns, without positions of switches."""
         return self._signals.n_continuous
 
+    def learn_alone(self, u: FloatArray) -> int:
+        """Learn from rows that cost less than a whole one, as those of single experiments do.
+
+        Args:
+            u: Points of the first design. Shape (n, p). [1]
+
+        Returns:
+            How many whole rows they are worth, rounded up: none here.
+        """
+        return 0
+
+    def follow(self, equations: StateEquations, misfit: float) -> None:
+        """Take equations that another experiment has shown, until a row of this one differs.
+
+        Args:
+            equations: The equations.
+            misfit: What they leave there. [1]
+        """
+        self._equations, self._is_given, self.misfit = equations, True, misfit
+
+    def knows(self, u: FloatArray) -> BoolArray:
+        """Return which points (n, p) it has learnt from. Shape (n,)."""
+        return np.asarray((self._u == u[:, None]).all(axis=2).any(axis=1))
+
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
 
@@ -225,7 +250,7 @@ class LearnedODE:
         """
         if self._is_refuted:
             return
-        was_confirmed = self.is_sure and self.n_asked > 0
+        was_confirmed = self.is_sure and self.n_asked > 0 and not self._is_given
         good = np.isfinite(answer.mse)
         # Equations know nothing of failures, and would lead there again and again.
         self._has_failed = self.predicted is not None and not good[0]
@@ -243,6 +268,12 @@ class LearnedODE:
         self._locals.note(shown)
         self._positions.note(shown)
         self._answered = np.concatenate([self._answered, answer.residuals[whole]])
+        if self._is_given:
+            self._mismatch = self._mismatch_of(self._u, self._answered)
+            # Written so that NaN counts as a mismatch, too.
+            self._is_given = self._mismatch <= MATCHED
+            if self._is_given:
+                return
         learnt = self._learnt()
         if is_missed and isinstance(learnt, str):
             # Formulas that held and hold no more: this row belongs to another regime.
@@ -361,8 +392,8 @@ class LearnedODE:
         self._ends = ends[order[:N_ENDS]]
         u, value = ends[order[0]], float(values[order[0]])
         distance = np.abs(known - u).max(axis=1)
-        nearest = int(np.argmin(distance))
-        if float(distance[nearest]) < SEARCH.same_point:
+        if distance.min(initial=np.inf) < SEARCH.same_point:
+            nearest = int(np.argmin(distance))
             # That point is known; one a little beside adds more.
             if self.is_sure and np.isfinite(objective[nearest]):
                 value = float(objective[nearest])

@@ -13,7 +13,8 @@ class Ledger:
         n_test: Test set.
         n_screen_checks: Physical simulations of screened points.
         n_polish: Polishing.
-        n_adaptive: An adaptive calibration, which has none of the above.
+        n_adaptive: An adaptive calibration, which has none of the above. What it simulates in one of k
+            experiments alone counts as the k-th part of a row.
     """
 
     n_train: int = 0

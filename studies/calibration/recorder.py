@@ -181,6 +181,12 @@ class Recorder:
             self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
         return evaluation
 
+    def pay(self, n_rows: int) -> None:
+        """Count rows that were asked in another way; a negative number gives them back."""
+        self._counter.pay(n_rows)
+        if self._on_progress is not None:
+            self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
+
     def know(self, evaluation: Evaluation) -> None:
         """Take note of rows that were answered, or simulated before (warm start)."""
         index = int(np.argmin(evaluation.objective))

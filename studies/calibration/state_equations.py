@@ -295,12 +295,45 @@ class StateEquations:
 
     def driven_by(self, driven: FloatArray) -> Self:
         """Return the same equations with other inputs over the communication steps. Shape (m, q)."""
-        signals = replace(self.signals, driven=driven)
+        return self.with_signals(replace(self.signals, driven=driven))
+
+    def with_signals(self, signals: StateSignals) -> Self:
+        """Return the same equations where signals of the same names take another course."""
         flow = _flow(signals, self.structure)
         # Fixed parts of a step, so that courses of inputs are compared with each other, and not their steps.
         if isinstance(self.flow, SteppedFlow):
             flow = replace(self.flow, signals=signals)
         return replace(self, signals=signals, flow=flow)
+
+    def in_experiment(self, signals: StateSignals, changed: Sequence[tuple[float, float]]) -> Self | None:
+        """Return the equations as another experiment with the same model follows them.
+
+        Args:
+            signals: What is known of its states.
+            changed: Values that are fixed, here and there, where they differ. [FMU's units]
+
+        Returns:
+            The equations; None where rows of this experiment do not say what they are there.
+        """
+        mine = self.signals
+        if mine.n_hidden or mine.n_switches:
+            return None
+        # What an input does is unknown where it rests, unless it rests there, too.
+        rests = (mine.driven == mine.driven[0]).all(axis=0)
+        if (rests & (signals.driven != mine.driven[0]).any(axis=0)).any():
+            return None
+        start = list(self.start)
+        for here, there in changed:
+            # A fixed value may be a start value. What else it does, no row has shown.
+            known = [one.fixed_value for one in self.start]
+            places = [
+                k for k, value in enumerate(known) if value is not None and np.isclose(value, here, 1e-9, 0)
+            ]
+            if len(places) != 1:
+                return None
+            start[places[0]] = Coefficient.constant(there)
+        moved = replace(self, start=tuple(start)).with_signals(signals)
+        return moved if type(moved.flow) is type(self.flow) else None
 
     def until(self, n_outputs: int) -> Self:
         """Return the same stepped equations over the first reported outputs alone."""

@@ -38,9 +38,14 @@ FITS_BETTER = 0.99
 def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     """Say what a calibration came to, what it cost and why it ended."""
     found, unit = outcome.result, square_of(case.outputs[0].unit)
-    cost = count(found.n_calls_paper, "model call")
-    if case.experiments:
-        cost += f" in each of {count(len(case.experiments), 'experiment')}"
+    n_experiments = len(case.experiments)
+    n_alone = 0 if found.state_equations is None else found.state_equations.n_alone
+    n_rows = found.n_calls_paper - (math.ceil(n_alone / n_experiments) if n_alone else 0)
+    cost = count(n_rows, "model call")
+    if n_experiments:
+        cost += f" in each of {count(n_experiments, 'experiment')}"
+    if n_alone:
+        cost += f" and {n_alone} in single ones, {n_rows * n_experiments + n_alone} in all"
     if found.settings.get("n_parallel", 1) != 1:
         cost += f" in {count(found.n_rounds or 0, 'round')}"
     if found.n_warm_start:

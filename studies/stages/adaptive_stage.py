@@ -269,4 +269,5 @@ def equations_found(ode: LearnedODE | None, physical: StoredModel) -> EquationsF
         are_believed=ode.is_believed,
         why_not=None if ode.is_learnt else fails if unread else ode.why_not,
         without_effect=tuple(ode.without_effect),
+        n_alone=ode.n_alone,
     )

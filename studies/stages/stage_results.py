@@ -249,6 +249,7 @@ class EquationsFound:
         are_believed: Whether their last predictions were right.
         why_not: Why none were learnt, None where they were.
         without_effect: Parameters that changed nothing in any simulation.
+        n_alone: Simulations of single experiments that they were learnt from before any whole row.
     """
 
     n_states: int
@@ -259,6 +260,7 @@ class EquationsFound:
     are_believed: bool
     why_not: str | None
     without_effect: tuple[str, ...]
+    n_alone: int = 0
 
     @property
     def sentence(self) -> str:
@@ -266,6 +268,7 @@ class EquationsFound:
         calls, hidden = count(self.n_calls, "call"), self.hidden_inputs
         inputs = "input" if len(hidden) == 1 else "inputs"
         learnt = f"learnt with {listed(hidden)} of the FMU as {inputs}" if hidden else "learnt"
+        learnt += f" from {count(self.n_alone, 'simulation')} of single experiments" if self.n_alone else ""
         if self.are_believed:
             end = f"{learnt}, and {calls} went where they expect the lowest error"
             if self.without_effect:

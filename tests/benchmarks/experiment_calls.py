@@ -1,0 +1,154 @@
+"""What several experiments cost: simulations to the best error, with state equations and without.
+
+Run `python tests/benchmarks/experiment_calls.py [wall office two-rooms] [--experiments 2 4 8] [--truths 4]`.
+A recording is cut into experiments of `--days` each; two-rooms takes its own. Every truth is drawn evenly
+from the box, simulated by the FMU and disturbed by noise of the sensor's uncertainty. The best error known is
+the least of all searches' and of a least-squares search that begins at the truth. Prints a table: simulations
+of single experiments to 1.02 times that error, and to the end; gates nothing.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
+
+from interval_coverage import in_experiments  # noqa: E402
+
+from simulation import Case, Measurement, load_case  # noqa: E402
+from simulation.experiments import JoinedModel  # noqa: E402
+from studies.calibration.adaptive import Adaptive  # noqa: E402
+from studies.calibration.experiments_ode import WatchedModel, learned_ode, watched_model  # noqa: E402
+from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
+from studies.calibration.problem import CalibrationProblem  # noqa: E402
+from studies.calibration.states import watching_states  # noqa: E402
+
+
+def cut(name: str, n: int, days: float) -> Case:
+    """Return a case with n experiments: its own first ones, or its recording cut."""
+    if name == "two-rooms":
+        case = load_case(ROOT / "fmus" / name)
+        text = case.path.read_text(encoding="utf-8")
+        head, *tables = text.split("[[experiments]]")
+        # "random" and "together" move all inputs; any one experiment alone does not show all parameters.
+        order = ["random", "together", "door", "cooling", "heater-1", "heater-2", "in-turn"]
+        by_name = {table.split('"')[1]: table for table in tables}
+        kept = "[[experiments]]".join([head, *(by_name[one] for one in order[:n])])
+        with tempfile.TemporaryDirectory() as folder:
+            for key in ("fmu", "data"):
+                value = kept.split(f'\n{key} = "')[1].split('"')[0]
+                kept = kept.replace(f'\n{key} = "{value}"', f'\n{key} = "{case.path.parent / value}"')
+            (Path(folder) / "case.toml").write_text(kept, encoding="utf-8")
+            return load_case(Path(folder))
+    with tempfile.TemporaryDirectory() as folder:
+        return in_experiments(name, n, days, [], Path(folder))
+
+
+@contextmanager
+def watched(case: Case) -> Iterator[WatchedModel]:
+    """Open the model of a case's experiments."""
+    rows = watching_states(case).experiment_rows
+    with closing(rows.open()) as parts:
+        yield watched_model(case, JoinedModel(parts, rows, case.parameter_space))
+
+
+def main() -> None:
+    """Run all searches and print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("cases", nargs="*", default=["wall", "office", "two-rooms"])
+    parser.add_argument("--experiments", type=int, nargs="*", default=[1, 2, 4, 8])
+    parser.add_argument("--truths", type=int, default=4)
+    parser.add_argument("--first-seed", type=int, default=200)
+    parser.add_argument("--days", type=float, default=1.0)
+    options = parser.parse_args()
+    paid = "to 1.02 times | to the end"
+    head = f"case | experiments | simulations {paid} | without equations: rows {paid} | s"
+    print(f"| {head} |\n|---|---:|---:|---:|---:|---:|---:|")
+    for name in options.cases:
+        for n in options.experiments:
+            case = cut(name, n, options.days)
+            k = len(case.experiments)
+            if k < n and name == "two-rooms":
+                print(f"{name}: has {k} experiments to calibrate", file=sys.stderr)
+            to_best, to_end = [], []
+            began = perf_counter()
+            with watched(case) as model:
+                for seed in range(options.first_seed, options.first_seed + options.truths):
+                    found = runs(case, model, seed)
+                    to_best.append([one[0] for one in found])
+                    to_end.append([one[1] for one in found])
+            cells = [f"{name} | {k}"]
+            for column in (0, 1):
+                for table in (to_best, to_end):
+                    values = np.array(table)[:, column]
+                    cells.append(f"{np.median(values):g} ({values.max():g})")
+            print(f"| {' | '.join(cells)} | {perf_counter() - began:.0f} |", flush=True)
+
+
+def runs(case: Case, model: WatchedModel, seed: int) -> list[tuple[float, int]]:
+    """Calibrate a synthetic truth with equations and without.
+
+    Returns:
+        Of each what it paid to 1.02 times the best error, infinite for never, and to the end: simulations of
+        single experiments with equations, rows of all experiments without.
+    """
+    rng, space = np.random.default_rng(seed), case.parameter_space
+    truth = 0.05 + 0.9 * rng.random(space.n_parameters)
+    y = model.simulate(space.from_unit(truth[None])).y[0]
+    known = case.measurement
+    noisy = y + rng.standard_normal(y.shape) * known.uncertainty
+    samples = Measurement.on_grid(known.time, noisy, known.output_names, known.uncertainty).samples
+    # Where experiments have other lengths, their own samples count.
+    samples = tuple(
+        replace(one, time=its.time, values=np.interp(its.time, one.time, one.values))
+        for one, its in zip(samples, known.samples, strict=True)
+    )
+    problem = CalibrationProblem(model, replace(known, samples=samples))
+    ode = learned_ode(posed(case, problem.measurement), model, problem)
+    k = len(case.experiments)
+    found = [
+        Adaptive.for_sensor(float(known.uncertainty[0]), max_calls=300).minimize(
+            problem, seed=seed, learned_ode=one
+        )
+        for one in (ode, None)
+    ]
+    patient = LeastSquaresTRF(ftol=1e-9, xtol=1e-10, max_calls=2000)
+    best = min(patient.minimize(problem, truth).mse, *(one.mse for one in found))
+    answers = list[tuple[float, int]]()
+    for one, n_alone in zip(found, (ode.n_alone, 0), strict=True):
+        calls = one.history.calls_to(1.02 * best)
+        if one is found[0]:
+            less = -(-n_alone // k)
+            to_best = np.inf if calls is None else (calls - less) * k + n_alone
+            answers.append((to_best, (one.n_calls - less) * k + n_alone))
+        else:
+            answers.append((np.inf if calls is None else calls, one.n_calls))
+    return answers
+
+
+def posed(case: Case, measurement: Measurement) -> Case:
+    """Return a case whose experiments are compared with another measurement, part by part."""
+    assert case.layout is not None, "cut into experiments"
+    members = []
+    for one, its in zip(case.layout.experiments, case.experiments, strict=True):
+        begin_s = its.measurement.time[0]
+        samples = tuple(
+            replace(series, time=series.time + begin_s)
+            for series in (measurement.samples[column] for column in one.outputs)
+        )
+        members.append(replace(its, measurement=replace(its.measurement, samples=samples)))
+    return replace(case, experiments=tuple(members), measurement=measurement)
+
+
+if __name__ == "__main__":
+    main()
