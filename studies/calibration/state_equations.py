@@ -322,16 +322,17 @@ class StateEquations:
         rests = (mine.driven == mine.driven[0]).all(axis=0)
         if (rests & (signals.driven != mine.driven[0]).any(axis=0)).any():
             return None
-        start = list(self.start)
+        start, known = list(self.start), [one.fixed_value for one in self.start]
         for here, there in changed:
-            # A fixed value may be a start value. What else it does, no row has shown.
-            known = [one.fixed_value for one in self.start]
+            # A fixed value may be where states begin. What else it does, no row has shown.
             places = [
                 k for k, value in enumerate(known) if value is not None and np.isclose(value, here, 1e-9, 0)
             ]
-            if len(places) != 1:
+            other = {one for mine, one in changed if np.isclose(mine, here, 1e-9, 0)}
+            if not places or len(other) > 1:
                 return None
-            start[places[0]] = Coefficient.constant(there)
+            for place in places:
+                start[place] = Coefficient.constant(there)
         moved = replace(self, start=tuple(start)).with_signals(signals)
         return moved if type(moved.flow) is type(self.flow) else None
 

@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--experiments", type=int, nargs="*", default=[1, 2, 4, 8])
     parser.add_argument("--truths", type=int, default=4)
     parser.add_argument("--first-seed", type=int, default=200)
-    parser.add_argument("--days", type=float, default=1.0)
+    parser.add_argument("--days", type=float, default=0.75)
     options = parser.parse_args()
     paid = "to 1.02 times | to the end"
     head = f"case | experiments | simulations {paid} | without equations: rows {paid} | s"
