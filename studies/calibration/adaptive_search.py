@@ -18,7 +18,7 @@ from studies.calibration.confirmation import least_unlikely
 from studies.calibration.ending import Confirmation, Ending, still_falling, too_large
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.failures import Failures, Penalty
-from studies.calibration.first_design import latin_hypercube
+from studies.calibration.first_design import first_points
 from studies.calibration.learned_ode import LearnedODE, enough_for_equations
 from studies.calibration.network_search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -26,7 +26,7 @@ from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Features
-from studies.calibration.restart import farther_along, inside, least_excluded
+from studies.calibration.restart import farther_along, least_excluded
 from studies.calibration.row_choice import missing_of_design
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.search_settings import SearchSettings
@@ -120,7 +120,7 @@ class AdaptiveSearch:
             BudgetExceeded: The budget is spent.
         """
         if self._n_design and self._believed is None:
-            self._ask_first(inside(latin_hypercube(self._n_design, self._p, self._rng)))
+            self._ask_first(first_points(self._n_design, self._p, self._rng))
         while not isinstance(move := self._next(), Ending):
             move()
         return move
@@ -226,7 +226,7 @@ class AdaptiveSearch:
         """Ask a first design, round by round where state equations may take less of it."""
         n_asked, q = 0, self._settings.n_parallel
         if self._ode is not None:
-            self._n_alone = self._ode.learn_alone(np.round(design, SEARCH.decimals))
+            self._n_alone = self._ode.learn_alone(design)
             self._recorder.pay(self._n_alone)
             if self._believed is None:
                 self._forget_alone()

@@ -3,8 +3,15 @@
 import numpy as np
 
 from simulation.arrays import FloatArray
+from studies.calibration.restart import inside
+from studies.calibration.search_constants import SEARCH
 
 N_DESIGNS = 200
+
+
+def first_points(n: int, p: int, rng: np.random.Generator) -> FloatArray:
+    """Return what an adaptive calibration begins with, away from the edges of the box. Shape (n, p). [1]."""
+    return np.round(inside(latin_hypercube(n, p, rng)), SEARCH.decimals)
 
 
 def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:

@@ -42,7 +42,8 @@ class SearchSettings:
             if value is not None and not value >= 0.0:
                 raise InputError(f"adaptive calibration: {name} is {value}; give at least 0")
 
-    def design_size(self, n_parameters: int) -> int:
+    @staticmethod
+    def design_size(n_parameters: int) -> int:
         """Return the rows of the first design."""
         # 10, 12 or 18 rows at the start instead of 14 gained
         # nothing (docs/notes/adaptive-search.md, First form).

@@ -43,9 +43,9 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     n_rows = found.n_calls_paper - (math.ceil(n_alone / n_experiments) if n_alone else 0)
     cost = count(n_rows, "model call")
     if n_experiments:
-        cost += f" in each of {count(n_experiments, 'experiment')}"
-    if n_alone:
-        cost += f" and {n_alone} in single ones, {n_rows * n_experiments + n_alone} in all"
+        alone = f" and {n_alone} in single ones" if n_alone else ""
+        cost += f" in each of {count(n_experiments, 'experiment')}{alone}"
+        cost += f", {count(n_rows * n_experiments + n_alone, 'simulation')} in all"
     if found.settings.get("n_parallel", 1) != 1:
         cost += f" in {count(found.n_rounds or 0, 'round')}"
     if found.n_warm_start:

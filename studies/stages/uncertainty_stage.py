@@ -12,6 +12,9 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.coefficient import LEAST_TO_LEARN
+from studies.calibration.first_design import first_points
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.report.sentences import FITS_BETTER
@@ -131,6 +134,10 @@ def _judge(
         known = rows.judged(physical, problem)
         learned_ode = learned_ode_of(study.case, physical, problem)
         if learned_ode is not None and known.n:
+            if known.n < LEAST_TO_LEARN:
+                # What the calibration simulated in single experiments is stored there.
+                n_first, rng = Adaptive.design_size(n_parameters), np.random.default_rng(study.profile.seed)
+                learned_ode.learn_alone(first_points(n_first, n_parameters, rng))
             learned_ode.note(known)
         if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):
             # What a calibration that ended early has left over is not noise.
