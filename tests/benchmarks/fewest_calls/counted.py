@@ -43,6 +43,7 @@ class WatchedModel(WrappedModel):
             at_once: Rows that are simulated side by side, in a round.
         """
         self.watched = problem.model
+        self._alone_before = self._alone
         self._counter = CountingModel(problem.model, budget=max_calls)
         super().__init__(self._counter)
         self._measurement = problem.measurement
@@ -54,8 +55,12 @@ class WatchedModel(WrappedModel):
 
     @property
     def n_calls(self) -> int:
-        """Rows asked for."""
-        return self._counter.n_calls
+        """Rows asked for, those that simulations of single experiments are worth among them."""
+        return self._counter.n_calls + math.ceil(self._alone - self._alone_before)
+
+    @property
+    def _alone(self) -> float:
+        return float(getattr(self.watched, "rows_alone", 0.0))
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate, count and note.

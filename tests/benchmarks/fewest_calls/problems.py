@@ -133,18 +133,40 @@ def _instance(path: Path, seed: int) -> Instance:
     return of_case(load_case(path), seed)
 
 
+class CountedExperiments(JoinedModel):
+    """Experiments that count what is simulated in single ones.
+
+    Attributes:
+        n_alone: Simulations of single experiments.
+    """
+
+    n_alone = 0
+
+    def simulate_alone(self, theta: FloatArray, place: int) -> Trajectories:
+        """Count and simulate every row in one experiment."""
+        self.n_alone += len(theta)
+        return super().simulate_alone(theta, place)
+
+
 class PosedModel(WrappedModel):
     """A case's model that remembers what the states did, and what drives it."""
 
     def __init__(self, model: ForwardModel, case: Case) -> None:
         """Wrap the model of a case that watches its states, that of all its experiments where it has some."""
-        self.states, self._case = watched_model(case, model), case
+        self.states, self._case, self._answers = watched_model(case, model), case, model
         super().__init__(self.states)
         self.network_inputs = NetworkInputs.of(case)
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate; a row of several experiments is one call."""
         return self.states.simulate(theta)
+
+    @property
+    def rows_alone(self) -> float:
+        """Rows that what was simulated in single experiments is worth."""
+        if not isinstance(self._answers, CountedExperiments):
+            return 0.0
+        return self._answers.n_alone / len(self._case.experiments)
 
     def learned_ode(self, problem: CalibrationProblem) -> LearnedODE:
         """Return what learns the state equations of a problem that is posed to this model."""
@@ -161,7 +183,7 @@ def posed(case: Case) -> Iterator[CalibrationProblem]:
         return
     rows = with_states.experiment_rows
     with closing(rows.open()) as parts:
-        joined = JoinedModel(parts, rows, case.parameter_space)
+        joined = CountedExperiments(parts, rows, case.parameter_space)
         yield CalibrationProblem(PosedModel(joined, case), case.measurement)
 
 
