@@ -1,0 +1,44 @@
+"""Constraints and another interface in one experiment, through every command that simulates."""
+
+from pathlib import Path
+
+import pandas
+from project_for_tests import Run, add_case, stored_simulations
+
+PROFILE = ("--profile", "smoke", "--n-train", "16")
+COMMANDS = (
+    ("run", "wall", *PROFILE, "--trials", "1"),
+    ("calibrate", "wall", "--no-state-equations", "--max-calls", "14"),
+    ("uncertainty", "wall", "--max-calls", "30"),
+    ("calibrate", "wall", "--again"),
+)
+
+
+def test_no_row_of_any_command_breaks_a_constraint(new_project: Path, studies: Run) -> None:
+    file = add_case(new_project)
+    text = file.read_text(encoding="utf-8")
+    text = text.replace("schema = 1\n", 'schema = 1\nconstraints = ["C1 < C2", "G23 < G12"]\n')
+    text = text.replace("window_d = [1, 5]", "window_d = [1, 2]", 1).replace("validation_d = [5, 7]\n", "")
+    file.write_text(text, encoding="utf-8")
+
+    n_before = 0
+    for command in COMMANDS:
+        answer = studies(*command)
+        assert answer.code == 0, answer.err
+        rows = pandas.concat(stored_simulations(new_project, "wall").values())
+        assert (rows["C1"] <= rows["C2"]).all(), command
+        assert (rows["G23"] <= rows["G12"]).all(), command
+        assert len(rows) > n_before, command
+        n_before = len(rows)
+
+
+def test_an_experiment_may_be_driven_in_another_way(new_project: Path, studies: Run) -> None:
+    file = add_case(new_project)
+    text = file.read_text(encoding="utf-8")
+    text = text[: text.index("# Best")] if "# Best" in text else text[: text.index("[[references]]")]
+    for k, more in enumerate(("", 'interface = "model-exchange"\n')):
+        text += f'\n[[experiments]]\nname = "e{k}"\ntime = {{ window_d = [{2 * k}, {2 * k + 2}] }}\n{more}'
+    file.write_text("\n".join(line for line in text.splitlines() if "validation_d" not in line))
+
+    found = studies("calibrate", "wall", "--json").stage
+    assert found["mse"] < 0.05**2
