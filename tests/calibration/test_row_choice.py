@@ -118,3 +118,4 @@ def test_what_the_model_denies_is_not_asked_again_and_again() -> None:
     near = np.abs(asked.u[:, None] - asked.u).max(axis=2) + np.tri(asked.n) < 0.01
     again = near.any(axis=0) & (asked.mse > 5.0 * min(asked.mse.min(), known.mse.min()))
     assert again.sum() <= 1
+    assert asked.mse.min() < 0.5 * known.mse.min()
