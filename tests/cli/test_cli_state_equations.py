@@ -128,11 +128,12 @@ def test_how_sure_it_is_takes_no_more_than_the_sample(
     made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = copy_of(made, tmp_path / "project", monkeypatch)
-    assert studies(*WALL).code == 0
-    judge = ("uncertainty", "wall", "--jobs", "1", "--max-calls", "30")
+    short = ("wall", "--jobs", "1", "--window", "1-2")
+    assert studies("calibrate", *short).code == 0
+    judge = ("uncertainty", *short, "--max-calls", "30")
     answer = studies(*judge)
     assert answer.code == 0, answer.err
-    file = project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json"
+    file = project / "mlruns" / "results" / "wall-quick-d1-2" / "uncertainty-adaptive.json"
     found = json.loads(file.read_text(encoding="utf-8"))["result"]
     calls = found["ledger"]
     assert (calls["n_differences"], calls["n_taught"], calls["total"]) == (0, 0, 16)
