@@ -21,7 +21,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("wall", "thermostat"):
         add_case(root, name)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
+        patch.chdir(root)
         # Killed after three simulations, as it were: the next command goes on from there.
         patch.setattr("studies.stages.adaptive_stage.LEAST_CALLS", 1)
         assert main([*WALL, "--max-calls", "3", "--quiet"]) == 0
@@ -30,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("STUDIES_ROOT", str(made))
+    monkeypatch.chdir(made)
     return made
 
 
