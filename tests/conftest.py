@@ -24,6 +24,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 for library in ("OMP", "MKL", "OPENBLAS"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+# Processes that simulate are forked from one that has imported what they need. Another environment needs
+# another one of these, which takes a second: so no test has a variable of its own without need.
+os.environ.pop("STUDIES_ROOT", None)
+
+
+def _leave_pytest_unsaid() -> None:
+    os.environ.pop("PYTEST_CURRENT_TEST", None)
+
+
+pytest_fixture_setup = pytest.hookimpl(tryfirst=True)(_leave_pytest_unsaid)
+pytest_pyfunc_call = pytest.hookimpl(tryfirst=True)(_leave_pytest_unsaid)
+
 # Tests look for what is left in the temporary folder, so processes that test side by side have one each.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     own = Path(tempfile.mkdtemp(prefix=f"tests-{worker}-"))

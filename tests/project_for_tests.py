@@ -61,7 +61,7 @@ def make_calibrated_wall(root: Path, *options: str) -> Path:
 
     add_case(make_project(root))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
+        patch.chdir(root)
         assert main(["calibrate", "wall", "--jobs", "1", "-q", *options]) == 0
     return root
 
@@ -77,7 +77,6 @@ def add_case(root: Path, name: str = "wall") -> Path:
 def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
     """Copy a project and let the command line find the copy."""
     shutil.copytree(template, root)
-    patch.setenv("STUDIES_ROOT", str(root))
     patch.chdir(root)
     return root
 
@@ -134,7 +133,7 @@ def finish(project: Path) -> None:
     from studies.cli import main
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(project))
+        patch.chdir(project)
         assert main(SMOKE_RUN[3:]) == 0
 
 

@@ -21,6 +21,7 @@ logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 # MLflow writes rows that a server may already have, and goes on where it refuses them.
 logging.getLogger("psycopg").setLevel(logging.ERROR)
 
+_VARIABLE = "MLFLOW_TRACKING_URI"
 __all__ = ["connect", "entities", "make_database", "mlflow"]
 
 
@@ -29,7 +30,12 @@ def connect(uri: str) -> mlflow.MlflowClient:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # MLflow's registry asks clients of its own, which know the process's store alone.
+        said = os.environ.get(_VARIABLE)
         mlflow.set_tracking_uri(uri)
+        # It tells processes that are started as well: another environment needs another fork server.
+        os.environ.pop(_VARIABLE, None)
+        if said is not None:
+            os.environ[_VARIABLE] = said
         client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client

@@ -13,7 +13,6 @@ from studies.cli import main
 def new_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A project that the command line finds, in which nothing was made yet."""
     root = make_project(tmp_path / "project", with_store=False)
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
     monkeypatch.chdir(root)
     return root
 

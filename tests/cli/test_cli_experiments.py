@@ -45,7 +45,7 @@ def with_experiments(file: Path, experiments: str = EXPERIMENTS) -> None:
 def _calibrated(root: Path) -> None:
     with_experiments(add_case(make_project(root)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
+        patch.chdir(root)
         assert main([*CALIBRATE, "-q"]) == 0
 
 

@@ -16,7 +16,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A project with a wall whose masonry has one wrong sample, 30 K off on day 2."""
     root = make_project(tmp_path / "project")
     add_case(root)
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    monkeypatch.chdir(root)
     file = root / "data" / "wall" / "measured.csv"
     with file.open(newline="") as stream:
         rows = list(csv.reader(stream))

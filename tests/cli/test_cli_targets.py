@@ -11,6 +11,8 @@ from test_cli_experiments import with_experiments
 from simulation.case import load_case
 
 CALIBRATE = ("calibrate", "wall", "--jobs", "1", "--max-calls", "8")
+# To say how sure it is takes a simulation's length of time.
+SHORT = ("--window", "1-2", "--jobs", "1")
 MASONRY, FLOW = "uncertainty = 0.05\n", "uncertainty = 2\n"
 FLOW_MEASURED = 'file = "measured.csv"\ncolumn = "QRoom_W"\n'
 
@@ -80,20 +82,24 @@ def test_only_what_lies_above_a_limit_counts(project: Path, studies: Run) -> Non
     assert load_case(file).measurement.measured == (0,)
     assert studies("report", "wall").code == 0
     assert studies("check", "wall").code == 0
-    judged = studies("uncertainty", "wall", "--max-calls", "40")
+    assert studies("calibrate", "wall", *SHORT).code == 0
+    judged = studies("uncertainty", "wall", *SHORT, "--max-calls", "30")
     assert judged.code == 0, judged.err
 
 
 def test_correlated_errors_widen_the_intervals(project: Path, studies: Run) -> None:
     def widths() -> np.ndarray:
-        stage = studies("uncertainty", "wall", "--noise", "sensor", "--max-calls", "40", "--json").stage
+        found = studies("calibrate", "wall", *SHORT)
+        assert ("whitened MSE" in found.out) == is_correlated
+        judge = ("uncertainty", "wall", *SHORT, "--noise", "sensor", "--max-calls", "30", "--json")
+        stage = studies(*judge).stage
         ends = [one["linear"] for one in stage["parameters"].values()]
         return np.diff(np.log(ends), axis=1)[:, 0]
 
+    is_correlated = False
     independent = widths()
     edit(project, *((key, f"{key}correlation_time_s = 7200\n") for key in (MASONRY, FLOW)))
-    found = studies(*CALIBRATE)
-    assert "whitened MSE" in found.out
+    is_correlated = True
     # Samples 35 minutes apart have the correlation 0.75: of a constant, seven count as one.
     ratio = widths() / independent
     assert ratio.max() > 1.5

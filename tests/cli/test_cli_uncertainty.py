@@ -45,7 +45,7 @@ def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     """The same, judged without an interruption."""
     root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
+        patch.chdir(root)
         assert main([*JUDGE, "-q"]) == 0
     return root
 
@@ -71,7 +71,7 @@ def test_it_says_how_sure_the_calibration_is(
     template: Path, undisturbed: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = shutil.copytree(undisturbed, tmp_path / "project")
-    monkeypatch.setenv("STUDIES_ROOT", str(project))
+    monkeypatch.chdir(project)
     n_before = n_stored(template)
     stage = studies(*JUDGE, "--json").stage
     assert stage["finished_before"]

@@ -56,13 +56,13 @@ def run(hostile: Path, way: tuple[str, ...], *words: str) -> None:
 
 
 def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path) -> None:
-    run(hostile, ("-m", "studies"), "simulate", "wall", "--profile", "smoke", "--jobs", "2")
+    run(hostile, ("script",), "simulate", "wall", "--profile", "smoke", "--jobs", "2")
 
 
 def test_no_worker_of_tuning_and_no_server_imports_from_the_working_folder(hostile: Path) -> None:
     give_store(hostile.parent / "project")
     short = ("--profile", "smoke", "--n-train", "16", "--trials", "1")
-    run(hostile, ("script",), "tune", "wall", *short)
+    run(hostile, ("-m", "studies"), "tune", "wall", *short)
     argv, environment = command(hostile, ("script",), "ui")
     with subprocess.Popen(
         argv, cwd=hostile, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True

@@ -11,7 +11,6 @@ from studies.exports.calibrated_values import identifiers
 
 @pytest.fixture(autouse=True)
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STUDIES_ROOT", str(tmp_path))
     monkeypatch.chdir(tmp_path)
 
 

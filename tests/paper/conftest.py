@@ -71,6 +71,5 @@ def reproduce(project: Path) -> Iterator[Reproduce]:
         return code, json.loads(said.getvalue())
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(project))
         patch.chdir(project)
         yield run

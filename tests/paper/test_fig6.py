@@ -58,7 +58,6 @@ def draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Draw:
     """Run `studies reproduce-paper office-recorded` in a project without the recording."""
     (tmp_path / "studies.toml").write_text("schema = 1\n")
     give_store(tmp_path)
-    monkeypatch.setenv("STUDIES_ROOT", str(tmp_path))
     monkeypatch.chdir(tmp_path)
 
     def run(*words: str) -> tuple[int, dict[str, Any]]:

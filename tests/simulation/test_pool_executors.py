@@ -124,7 +124,7 @@ def test_a_command_simulates_on_a_cluster(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     root = make_project(tmp_path / "project")
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    monkeypatch.chdir(root)
     digests = []
     for more in ((), ("--dask", cluster.scheduler_address)):
         capsys.readouterr()

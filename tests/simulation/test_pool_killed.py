@@ -4,10 +4,10 @@ import itertools
 import os
 import random
 import re
-import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +20,10 @@ from simulation.scratch import sweep
 from simulation.store.store import SimulationStore
 
 HERE = Path(__file__).parent
-N_ROWS, N_MOMENTS, N_WORKERS = 400, 20, 2
-# A row fails whose process is lost again and again: so many deaths in a row at most.
-N_DEATHS = 2
+PATIENCE_S = 60.0
+N_ROWS, N_WORKERS = 500, 2
+# Few enough that no row is lost with its process so often that it fails.
+KILLS = ("master", "worker") * 4
 # A chunk of 0.05 s, and one row more.
 N_CHUNK = 7
 
@@ -65,9 +66,10 @@ def _progress(folder: Path) -> list[str]:
     return [file.read_text() for file in sorted(folder.glob("reported-*"))]
 
 
-def _wait_for_progress(folder: Path, before: list[str], master: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + 60.0
-    while master.poll() is None and _progress(folder) == before and time.monotonic() < deadline:
+def _wait(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not is_so():
+        assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
@@ -79,44 +81,35 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path, mon
     script.write_text(MASTER.format(places=places, folder=str(tmp_path), n_workers=N_WORKERS))
     rows = ToyRC().parameter_space.from_unit(np.random.default_rng(1).random((N_ROWS, 2)))
     np.save(tmp_path / "rows.npy", rows)
-    master, n_kills, family = _start(script, temporary), {"master": 0, "worker": 0}, set()
-    progress: list[str] = []
-    n_deaths = 0
+    master, family = _start(script, temporary), set()
+
+    def children() -> list[psutil.Process]:
+        """Workers, and the processes that they are forked from."""
+        assert master.poll() is None, "all rows were simulated before the last kill"
+        return psutil.Process(master.pid).children(recursive=True)
+
     try:
-        for _ in range(N_MOMENTS):
+        for whom in chance.sample(KILLS, len(KILLS)):
+            if whom == "worker":
+                _wait(children)
+            # Half of the time it gets to work.
+            if chance.random() < 0.5:
+                before = _progress(tmp_path)
+                _wait(lambda before=before: _progress(tmp_path) != before)
             time.sleep(chance.uniform(0.02, 0.15))
-            if n_deaths == N_DEATHS:
-                _wait_for_progress(tmp_path, progress, master)
-            progress, before = _progress(tmp_path), progress
-            n_deaths = n_deaths if progress == before else 0
-            children = psutil.Process(master.pid).children(recursive=True) if master.poll() is None else []
-            family.update(children)
-            # Half of the kills hit a worker, or the processes that they are forked from.
-            whom = "worker" if children and chance.random() < 0.5 else "master"
-            victim = chance.choice(children).pid if whom == "worker" else master.pid
-            try:
-                os.kill(victim, signal.SIGKILL)
-            except ProcessLookupError:
+            family.update(children())
+            if whom == "worker":
+                chance.choice(children()).kill()
                 continue
-            n_kills[whom] += 1
-            n_deaths += 1
-            if whom == "master":
-                n_deaths = 0
-                said, _ = master.communicate()
-                assert said in ("", "finished\n")
-                master = _start(script, temporary)
-                # Half of the time it gets to work.
-                if chance.random() < 0.5:
-                    _wait_for_progress(tmp_path, progress, master)
-        said, _ = master.communicate(timeout=60)
-        assert said == "finished\n"
+            master.kill()
+            assert master.communicate() == ("", None)
+            master = _start(script, temporary)
+        assert master.communicate(timeout=PATIENCE_S) == ("finished\n", None)
     finally:
         master.kill()
         master.wait()
-    assert n_kills["master"] >= 4
-    assert n_kills["worker"] >= 4
-    _check_counts(tmp_path, rows, sum(n_kills.values()))
-    assert not psutil.wait_procs(family, timeout=5)[1]
+    _check_counts(tmp_path, rows, len(KILLS))
+    assert not psutil.wait_procs(family, timeout=PATIENCE_S)[1]
     # The next process removes what the last one that was killed left behind.
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
     sweep(SCRATCH_PREFIX)

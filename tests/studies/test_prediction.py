@@ -19,7 +19,9 @@ from studies.stages.stage_results import Calibration, Uncertainty
 
 ROOT = Path(__file__).resolve().parents[2]
 INPUTS = ROOT / "data" / "wall" / "inputs.csv"
-RESULTS = Path("mlruns/results/wall-quick")
+# How sure it is, is said faster of a day.
+WALL = ("wall", "--window", "1-2", "--jobs", "1")
+RESULTS = Path("mlruns/results/wall-quick-d1-2")
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +31,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     give_store(root)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
-        assert main(["calibrate", "wall", "--max-calls", "30", "--jobs", "1", "-q"]) == 0
-        assert main(["uncertainty", "wall", "--max-calls", "30", "--jobs", "1", "-q"]) == 0
+        assert main(["calibrate", *WALL, "-q"]) == 0
+        assert main(["uncertainty", *WALL, "--max-calls", "30", "-q"]) == 0
     return root
 
 
@@ -43,7 +45,7 @@ def here(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 def predicted(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     capsys.readouterr()
-    assert main(["predict", "wall", "--jobs", "1", "--json", *words]) == 0
+    assert main(["predict", *WALL, "--json", *words]) == 0
     (stage,) = json.loads(capsys.readouterr().out)["stages"]
     assert isinstance(stage, dict)
     return stage
@@ -92,8 +94,11 @@ def test_other_inputs_give_other_outputs(here: Path, capsys: pytest.CaptureFixtu
 def test_without_an_uncertainty_there_are_no_bands(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (RESULTS / "uncertainty-adaptive.json").unlink()
     assert list(table_of(predicted(capsys, "--inputs", str(INPUTS)))) == ["time_s", "TMasonry", "QRoom"]
-    assert main(["predict", "wall", "--inputs", str(INPUTS)]) == 0
-    assert "No bands: type studies uncertainty wall, then this command again" in capsys.readouterr().out
+    assert main(["predict", *WALL, "--inputs", str(INPUTS)]) == 0
+    assert (
+        "No bands: type studies uncertainty wall --window 1-2, then this command again"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from forked_for_tests import FORKED, run_worker
 from made_once import made_once
 from mlflow_store_for_tests import give_store
 from toy_study_for_tests import N_TUNED, SPECS, add_sets
@@ -11,6 +12,7 @@ from toy_study_for_tests import N_TUNED, SPECS, add_sets
 from studies.paths import ProjectPaths
 from studies.tuning.storage import open_storage
 from studies.tuning.tune_studies import tune
+from studies.tuning.worker import Worker
 
 
 @pytest.fixture(scope="session")
@@ -33,7 +35,14 @@ def tuned(template: Path, tmp_path_factory: pytest.TempPathFactory) -> ProjectPa
 
     def make(root: Path) -> None:
         shutil.copytree(template, root)
-        tune(SPECS, paths=ProjectPaths(root), n_trials=N_TUNED, n_jobs=2)
+        paths, (first, *others) = ProjectPaths(root), SPECS
+        tune(SPECS, paths=paths, n_trials=N_TUNED, n_jobs=1, until_s=0.0)
+        other = FORKED.Process(target=run_worker, args=(paths, first.name))
+        other.start()
+        for spec in others:
+            Worker(paths, spec.name).run()
+        other.join()
+        tune(SPECS, paths=paths, n_trials=N_TUNED, n_jobs=1)
 
     return ProjectPaths(made_once(tmp_path_factory, "tuned", make))
 

@@ -1,25 +1,22 @@
 """Kills at any moment: every place ends once, with the numbers of the undisturbed study."""
 
-import json
 import os
 import random
 import signal
 import sqlite3
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
+from multiprocessing.process import BaseProcess
 
 import psutil
+from forked_for_tests import FORKED, is_killed, run_command
 from optuna.trial import TrialState
 from toy_study_for_tests import (
     LABEL,
     N_TUNED,
-    ROOT,
     assert_mlflow_agrees,
     essence,
     plain_study,
@@ -35,7 +32,6 @@ from studies.tuning.attempts import places
 from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
-HERE = Path(__file__).parent
 PATIENCE_S = 90.0
 FINISHED = {"COMPLETE", "PRUNED", "FAIL"}
 
@@ -72,28 +68,21 @@ def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> N
     Worker(project, specs[-1].name).run()
     undisturbed = essence(plain_study(project, specs[-1].name))
     assert [row[0] for row in undisturbed] == ["COMPLETE"] * 2
-    reported = [f"{spec.name}:{','.join(map(str, at))}" for spec, at in zip(specs, kills, strict=False)]
-    script = [sys.executable, str(HERE / "killed_workers.py"), str(project.root), *reported]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=300, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("killed") == len(first) + len(rest) + 2 * len(twice), done.stdout
+    for spec, writes in zip(specs, kills, strict=False):
+        for n_writes in writes:
+            assert is_killed(project, spec.name, n_writes), kills
     for spec in specs:
         Worker(project, spec.name).run()
         assert_each_place_ended(project, spec.name, 2)
-        assert essence(plain_study(project, spec.name)) == undisturbed, reported
+        assert essence(plain_study(project, spec.name)) == undisturbed, kills
     last = specs[-2:]  # to be brief: it registers a model of each study
     tune(last, paths=project, n_trials=2, n_jobs=1)
     for spec in last:
         assert_mlflow_agrees(project, spec.label, spec.name)
 
 
-def test_a_killed_and_an_interrupted_command_go_on(
-    project: ProjectPaths, tuned: ProjectPaths, tmp_path: Path
-) -> None:
+def test_a_killed_and_an_interrupted_command_go_on(project: ProjectPaths, tuned: ProjectPaths) -> None:
     spec = tuned_study(16)
-    (tmp_path / "spec.json").write_text(json.dumps(spec.to_dict()))
-    words = [sys.executable, str(HERE / "tune_script.py"), str(project.root), str(N_TUNED)]
-    words.append(str(tmp_path / "spec.json"))
 
     def n_ended() -> int:
         """Read as any program may; Optuna would take the processor."""
@@ -102,22 +91,24 @@ def test_a_killed_and_an_interrupted_command_go_on(
             (n,) = database.execute(f"select count(*) from trials where state in {states}").fetchone()
         return int(n)
 
-    def begun(n_more: int) -> tuple["subprocess.Popen[str]", list[psutil.Process]]:
+    def begun(n_more: int) -> tuple[BaseProcess, int, list[psutil.Process]]:
         wanted = n_ended() + n_more
-        command = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True)
-        wait_until(lambda: n_ended() >= wanted or command.poll() is not None)
+        command = FORKED.Process(target=run_command, args=(project, spec, N_TUNED))
+        command.start()
+        wait_until(lambda: n_ended() >= wanted or not command.is_alive())
+        assert command.pid is not None
         workers = workers_of(command.pid)
         assert len(workers) == 1
-        return command, workers
+        return command, command.pid, workers
 
-    command, workers = begun(1)
+    command, _, workers = begun(1)
     command.kill()
-    command.communicate()
+    command.join()
     assert not psutil.wait_procs(workers, timeout=20.0)[1], "a worker outlives its command"
-    command, workers = begun(2)
-    os.killpg(command.pid, signal.SIGINT)  # as a terminal does
-    _, errors = command.communicate(timeout=PATIENCE_S)
-    assert errors.strip().endswith("KeyboardInterrupt")
+    command, pid, workers = begun(2)
+    os.killpg(pid, signal.SIGINT)  # as a terminal does
+    command.join(PATIENCE_S)
+    assert command.exitcode == 130
     assert not psutil.wait_procs(workers, timeout=20.0)[1]
     trials = plain_study(project, spec.name).get_trials()
     assert "RUNNING" not in states(trials)
@@ -133,13 +124,8 @@ def test_a_killed_and_an_interrupted_command_go_on(
 def test_a_trial_that_kills_its_worker_again_and_again_fails(project: ProjectPaths) -> None:
     spec = toy_study()
     tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)
-    script = [
-        sys.executable,
-        str(HERE / "killed_workers.py"),
-        str(project.root),
-        f"{spec.name}:{'30,' * 5}30",
-    ]
-    subprocess.run(script, check=True, capture_output=True, timeout=300, cwd=ROOT)
+    for _ in range(6):
+        assert is_killed(project, spec.name, 30)
     Worker(project, spec.name).run()
     trials = plain_study(project, spec.name).get_trials()
     assert states(trials) == ["FAIL"] * 6

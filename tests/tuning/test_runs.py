@@ -1,8 +1,6 @@
 """Trials as MLflow shows them, to its own clients: runs, the best per size, models, a moved project."""
 
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -10,11 +8,11 @@ import mlflow
 import numpy as np
 import pandas as pd
 import pytest
+from forked_for_tests import FORKED, make_stores
 from mlflow.exceptions import MlflowException
 from toy_study_for_tests import (
     LABEL,
     N_TUNED,
-    ROOT,
     SPECS,
     plain_study,
     runs_of,
@@ -140,20 +138,11 @@ def test_an_artifact_outside_the_project_is_refused(tuned: ProjectPaths) -> None
 
 
 def test_processes_that_make_the_stores_at_once_do_not_get_in_each_other_s_way(tmp_path: Path) -> None:
-    script = (
-        "import sys; from pathlib import Path; from studies.paths import ProjectPaths\n"
-        "from studies.tuning.storage import open_storage\n"
-        "from studies.tracking.runs import RunStore\n"
-        "paths = ProjectPaths(Path(sys.argv[1]))\n"
-        "open_storage(paths); print(RunStore(paths).experiment('toy'))"
-    )
-    command = [sys.executable, "-c", script, str(tmp_path)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT) as other:
-        paths = ProjectPaths(tmp_path)
-        while not paths.mlruns.exists():
-            time.sleep(0.01)
-        assert open_storage(paths).get_all_studies() == []
-        experiment = RunStore(paths).experiment("toy")
-        said = other.communicate(timeout=300)
-    assert said[0] == f"{experiment}\n", said
+    paths = ProjectPaths(tmp_path)
+    queue = FORKED.SimpleQueue()
+    other = FORKED.Process(target=make_stores, args=(paths, queue))
+    other.start()
+    while not paths.mlruns.exists():
+        time.sleep(0.01)
+    assert open_storage(paths).get_all_studies() == []
+    assert RunStore(paths).experiment("toy") == queue.get()

@@ -1,9 +1,11 @@
 """Studies reach their trials, from the same configurations each time, and fail alone."""
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
 import pytest
+from forked_for_tests import FORKED, run_worker
 from optuna.trial import TrialState
 from toy_study_for_tests import (
     N_TUNED,
@@ -70,7 +72,7 @@ def test_more_trials_extend_a_study_as_if_it_had_been_asked_for_them_at_once(
     assert len(begun) == 5
     prepared(project, spec, N_TUNED).run()
     assert essence(plain_study(project, spec.name))[:5] == begun
-    # The studies of `tuned` ran in other processes, and beside another one.
+    # That of `tuned` ran in another process, and beside another one.
     assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))
 
 
@@ -91,11 +93,18 @@ def test_a_finished_study_is_left_as_it_is(copied: ProjectPaths) -> None:
 
 def test_two_workers_of_a_study_run_no_trial_too_many(project: ProjectPaths) -> None:
     spec = toy_study(16)
-    (found,) = tune([spec], paths=project, n_trials=5, n_jobs=2, n_parallel=2)
+    worker = prepared(project, spec, 5)
+    other = FORKED.Process(target=run_worker, args=(project, spec.name))
+    other.start()
+    while "RUNNING" not in states(plain_study(project, spec.name).trials):
+        time.sleep(0.01)
+    worker.run()
+    other.join()
     trials = plain_study(project, spec.name).get_trials()
     assert states(trials) == ["COMPLETE"] * 5
     assert len({trial.user_attrs["owner"]["pid"] for trial in trials}) == 2
     assert len({str(sorted(trial.params.items())) for trial in trials}) == 5
+    (found,) = tune([spec], paths=project, n_trials=5, n_jobs=2, n_parallel=2)
     assert found.n_ended == 5
     assert_mlflow_agrees(project, spec.label, spec.name)
 

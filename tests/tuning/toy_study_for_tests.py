@@ -24,7 +24,7 @@ from studies.tracking.quiet_mlflow import connect, entities
 from studies.tuning.attempts import places
 from studies.tuning.declaration import SETS, Declaration
 
-N_TUNED = 12
+N_TUNED = 8
 """Trials of the studies that are tuned once for all tests."""
 
 ROOT = Path(__file__).resolve().parents[2]
