@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 _VARIABLE = "PYTHONSAFEPATH"
 _OURS = "studies"  # any text switches it on
+_SECRET = "STUDIES_STORAGE"  # the URL of a database, which may hold a password
 
 
 def start_safely() -> None:
@@ -17,5 +18,9 @@ def start_safely() -> None:
 
 
 def as_for_fmus(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return an environment without this: an FMU may be a Python script that imports its neighbours."""
-    return {name: value for name, value in environment.items() if (name, value) != (_VARIABLE, _OURS)}
+    """Return an environment without this, as an FMU may be a Python script that imports its neighbours.
+
+    The URL of the studies' storage is none of its business either.
+    """
+    hidden = ((_VARIABLE, _OURS), (_SECRET, environment.get(_SECRET)))
+    return {name: value for name, value in environment.items() if (name, value) not in hidden}

@@ -92,7 +92,8 @@ def test_what_an_fmu_starts_is_as_it_would_be_without_us(monkeypatch: pytest.Mon
     monkeypatch.delenv("PYTHONSAFEPATH")
     start_safely()
     assert "PYTHONSAFEPATH" in os.environ
-    assert "PYTHONSAFEPATH" not in as_for_fmus(os.environ)
+    monkeypatch.setenv("STUDIES_STORAGE", "postgresql://user:secret@host/db")
+    assert not {"PYTHONSAFEPATH", "STUDIES_STORAGE"} & set(as_for_fmus(os.environ))
     monkeypatch.setenv("PYTHONSAFEPATH", "1")
     start_safely()
     assert as_for_fmus(os.environ)["PYTHONSAFEPATH"] == "1", "the user's own"
