@@ -20,6 +20,7 @@ from bad_fmus import (
 )
 
 from simulation import InputError, Parameter, ParameterSpace, PoolModel
+from simulation.experiments import Experiment, ExperimentRows, JoinedModel, Layout
 from simulation.fmi.fmu import FmuSettings
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.fork_server import end_fork_servers
@@ -98,6 +99,17 @@ def simulated(fmu, theta, *, n_workers=2, **policy):
         return model.simulate(theta)
 
 
+def test_experiments_of_an_fmu_that_makes_one_instance_per_process_do_not_meet(bad_fmu, trace):
+    settings, columns = settings_of(bad_fmu("ONCE")), np.arange(3)
+    experiments = tuple(Experiment(name, columns, np.array([k]), len(TIME)) for k, name in enumerate("ab"))
+    layout = Layout(settings.parameter_space.names, ("y@a", "y@b"), TIME, experiments)
+    rows, theta = ExperimentRows(layout, (settings, settings)), make_theta(6, [])
+    with PoolModel(rows.open, 2) as pool:
+        answer = JoinedModel(pool, rows, settings.parameter_space).simulate(theta)
+    for k in range(2):
+        np.testing.assert_allclose(answer.y[..., k], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
+
+
 @pytest.mark.parametrize("behaviour", REASONS)
 def test_exactly_the_bad_rows_fail_and_say_why(behaviour, bad_fmu, trace):
     theta = make_theta(N, BAD_ROWS)
@@ -130,7 +142,7 @@ def has_loaded(process):
 
 
 def test_an_fmu_that_keeps_its_first_parameters_gets_a_process_for_each_row(bad_fmu, trace):
-    theta = make_theta(20, [])
+    theta = make_theta(6, [])
     answer = simulated(bad_fmu("FROZEN"), theta)
     assert not answer.failed.any()
     np.testing.assert_allclose(answer.y[:, :, 0], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
@@ -153,7 +165,7 @@ def daemons():
 def test_a_daemon_that_an_fmu_starts_ends_with_its_process(end, bad_fmu, trace):
     fmu, before = bad_fmu("DAEMON"), daemons()
     with PoolModel(settings_of(fmu).open, 1) as model:
-        assert not model.simulate(make_theta(20, [])).failed.any()
+        assert not model.simulate(make_theta(6, [])).failed.any()
         loaded = [one for one in psutil.Process().children(recursive=True) if has_loaded(one)]
         (worker,) = [one for one in loaded if one.parent() not in loaded]  # not a daemon of it
         assert len(daemons()) > len(before), "each instance starts one"
@@ -164,5 +176,5 @@ def test_a_daemon_that_an_fmu_starts_ends_with_its_process(end, bad_fmu, trace):
                 time.sleep(0.05)
             assert daemons() == before
             # And the rows go on in a new one.
-            assert not model.simulate(make_theta(20, [])).failed.any()
+            assert not model.simulate(make_theta(6, [])).failed.any()
     assert daemons() == before
