@@ -32,7 +32,7 @@ def connect(uri: str) -> mlflow.MlflowClient:
         # MLflow's registry asks clients of its own, which know the process's store alone.
         said = os.environ.get(_VARIABLE)
         mlflow.set_tracking_uri(uri)
-        # It tells processes that are started as well: another environment needs another fork server.
+        # Processes that are started get it as well, and another environment needs another fork server.
         os.environ.pop(_VARIABLE, None)
         if said is not None:
             os.environ[_VARIABLE] = said

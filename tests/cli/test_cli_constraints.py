@@ -1,20 +1,18 @@
-"""Constraints and another interface in one experiment, through every command that simulates."""
+"""Constraints, and another interface in one experiment, where a case is calibrated without a surrogate."""
 
 from pathlib import Path
 
 import pandas
 from project_for_tests import Run, add_case, stored_simulations
 
-PROFILE = ("--profile", "smoke", "--n-train", "16")
 COMMANDS = (
-    ("run", "wall", *PROFILE, "--trials", "1"),
     ("calibrate", "wall", "--no-state-equations", "--max-calls", "14"),
     ("uncertainty", "wall", "--max-calls", "30"),
     ("calibrate", "wall", "--again"),
 )
 
 
-def test_no_row_of_any_command_breaks_a_constraint(new_project: Path, studies: Run) -> None:
+def test_no_row_of_a_search_or_a_sample_breaks_a_constraint(new_project: Path, studies: Run) -> None:
     file = add_case(new_project)
     text = file.read_text(encoding="utf-8")
     text = text.replace("schema = 1\n", 'schema = 1\nconstraints = ["C1 < C2", "G23 < G12"]\n')

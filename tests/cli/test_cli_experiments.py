@@ -170,14 +170,22 @@ def test_what_is_wrong_is_one_line(old: str, new: str, message: str, new_project
     assert len(answer.err.strip().splitlines()) == 1
 
 
-def test_the_paper_method_knows_experiments(project: Path, studies: Run) -> None:
+def test_the_paper_method_knows_experiments_and_constraints(project: Path, studies: Run) -> None:
     shutil.rmtree(project / "mlruns/results/wall-quick")
+    file = project / "fmus/wall/case.toml"
+    constrained = 'schema = 1\nconstraints = ["C1 < C2", "G23 < G12"]\n'
+    file.write_text(file.read_text("utf-8").replace("schema = 1\n", constrained), "utf-8")
+    known = {name: len(rows) for name, rows in stored_simulations(project, "wall").items()}
     (project / "tiny.toml").write_text(TINY)
     answer = studies("run", "wall", "--profile", "tiny.toml", "--jobs", "2", "--json")
     assert answer.code == 0, answer.err
     stages = {one["stage"]: one for one in answer.document["stages"]}
 
     assert stages["calibrate-n0016"]["mse"] < stages["calibrate-n0016"]["screening"]["mse"]
+    # Designs, Sobol, the screened point and the polish.
+    new = [rows[known.get(name, 0) :] for name, rows in stored_simulations(project, "wall").items()]
+    assert sum(map(len, new)) > 50
+    assert all((rows["C1"] <= rows["C2"]).all() and (rows["G23"] <= rows["G12"]).all() for rows in new)
 
 
 TINY = """\
@@ -192,6 +200,7 @@ n_base = 2
 [tuning]
 surrogate = "pca-gp"
 n_trials = 1
+max_epochs = 4
 [screening]
 popsize = 4
 maxiter = 5

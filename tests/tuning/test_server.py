@@ -16,6 +16,8 @@ from studies.tuning.tune_studies import tune
 if TYPE_CHECKING:
     from postgres_for_tests import PostgresServer
 
+N_TRIALS = 8
+
 
 def test_two_workers_one_killed_reach_the_trials(
     project: ProjectPaths, storage: str, postgres_server: "PostgresServer"
@@ -27,17 +29,18 @@ def test_two_workers_one_killed_reach_the_trials(
     def kill_one(_: object, trials: list[optuna.trial.FrozenTrial]) -> None:
         nonlocal n_killed
         workers = workers_of(os.getpid())
-        if not n_killed and len(workers) == 2 and sum(trial.state.is_finished() for trial in trials) >= 2:
+        # The first may have ended most trials before the second has begun.
+        if not n_killed and len(workers) == 2 and any(trial.state.is_finished() for trial in trials):
             workers[0].kill()
             n_killed += 1
 
-    (found,) = tune([spec], paths=paths, n_trials=6, n_jobs=2, n_parallel=2, on_trials=kill_one)
+    (found,) = tune([spec], paths=paths, n_trials=N_TRIALS, n_jobs=2, n_parallel=2, on_trials=kill_one)
     assert n_killed == 1
-    assert found.n_ended == 6
+    assert found.n_ended == N_TRIALS
     study = optuna.load_study(study_name=spec.name, storage=paths.optuna_url)
     trials = study.get_trials()
     assert set(states(trials)) <= {"COMPLETE", "FAIL"}
-    assert states(places(trials)) == ["COMPLETE"] * 6
+    assert states(places(trials)) == ["COMPLETE"] * N_TRIALS
     assert_mlflow_agrees(paths, spec.label, spec.name)
     schemas = postgres_server.execute(
         "select table_schema from information_schema.tables where table_name = 'alembic_version'",
