@@ -23,6 +23,38 @@ MOST_CHANGES, MOST_GUESSES = 100, 60
 SAME_TIME = 1e-9
 
 
+# Element by element: an assignment of whole arrays takes a second or more to compile.
+
+
+@compiled
+def _put(into: FloatArray, values: FloatArray) -> None:
+    """Write values into the first elements of an array."""
+    for place in range(values.size):
+        into[place] = values[place]
+
+
+@compiled
+def _sum(into: FloatArray, values: FloatArray, more: float) -> None:
+    """Write values plus a number into an array."""
+    for place in range(values.size):
+        into[place] = values[place] + more
+
+
+@compiled
+def _are_finite(values: FloatArray) -> bool:
+    n_finite = 0
+    for value in values:
+        n_finite += 1 if np.isfinite(value) else 0
+    return n_finite == values.size
+
+
+@compiled
+def _fill(into: FloatArray, value: float) -> None:
+    """Write a value into an array."""
+    for place in range(into.size):
+        into[place] = value
+
+
 @compiled
 def _bent(function: int, value: float) -> float:
     """Take a function of a value."""
@@ -72,9 +104,9 @@ def _advance(
 ) -> None:
     """Move the states on by one classical Runge-Kutta step of length h; see `steps`."""
     n_states = x.size
-    columns[:n_states] = x
+    _put(columns, x)
     _slope(columns, coefficients, ends, places, slope)
-    total[:] = slope
+    _put(total, slope)
     # Four slopes, at the start, twice at half a step and at its end, count 1, 2, 2, 1 sixths.
     for weight, reach in ((2.0, 0.5), (2.0, 0.5), (1.0, 1.0)):
         for state in range(n_states):
@@ -84,7 +116,7 @@ def _advance(
             total[state] += weight * slope[state]
     for state in range(n_states):
         x[state] += h / 6.0 * total[state]
-    columns[:n_states] = x
+    _put(columns, x)
 
 
 @compiled
@@ -156,9 +188,9 @@ def steps(
     x, slope, total = np.empty(n_states), np.empty(n_states), np.empty(n_states)
     before, since, since_then = np.empty(n_states), np.empty(n_states), np.empty(n_states)
     for point in range(n):
-        x[:] = start[point]
-        since[:] = 0.0
-        answer[point, 0] = x
+        _put(x, start[point])
+        _fill(since, 0.0)
+        _put(answer[point, 0], x)
         terms, limits = coefficients[point, : ends[-1]], coefficients[point, ends[-1] :]
         for step in range(driven.shape[0]):
             for one in range(n_inputs):
@@ -168,7 +200,7 @@ def steps(
                     _advance(x, h, columns, terms, ends, places, slope, total)
                     continue
                 left, n_changes = h, 0
-                columns[:n_states] = x
+                _put(columns, x)
                 while left > 0.0:
                     rule, beyond = _nearest_change(columns, since, rules, limits)
                     if beyond > 0.0:
@@ -176,12 +208,13 @@ def steps(
                         since[rules[rule, 0]] = 0.0
                         n_changes += 1
                         if n_changes > MOST_CHANGES:
-                            x[:] = np.nan
+                            _fill(x, np.nan)
                             break
                         continue
-                    before[:], since_then[:] = x, since
+                    _put(before, x)
+                    _put(since_then, since)
                     _advance(x, left, columns, terms, ends, places, slope, total)
-                    since += left
+                    _sum(since, since_then, left)
                     _, beyond_then = _nearest_change(columns, since, rules, limits)
                     if not beyond_then > 0.0:
                         break
@@ -194,9 +227,9 @@ def steps(
                         guess = high - (high - low) * at_high / (at_high - at_low)
                         # A guess at an end of the bracket would leave the bracket as it is.
                         guess = min(max(guess, low + 0.5 * SAME_TIME * h), high - 0.5 * SAME_TIME * h)
-                        x[:] = before
+                        _put(x, before)
                         _advance(x, guess, columns, terms, ends, places, slope, total)
-                        since[:] = since_then + guess
+                        _sum(since, since_then, guess)
                         _, at_guess = _nearest_change(columns, since, rules, limits)
                         if at_guess > 0.0:
                             high, at_high = guess, at_guess
@@ -206,14 +239,14 @@ def steps(
                             low, at_low = guess, at_guess
                             at_high *= 0.5 if side == -1 else 1.0
                             side = -1
-                    x[:] = before
+                    _put(x, before)
                     _advance(x, high, columns, terms, ends, places, slope, total)
-                    since[:] = since_then + high
+                    _sum(since, since_then, high)
                     left -= high
             if (step + 1) % every == 0:
-                answer[point, (step + 1) // every] = x
+                _put(answer[point, (step + 1) // every], x)
                 # States that run away do not come back: the rest of the answer stays NaN.
-                if not np.isfinite(x).all():
+                if not _are_finite(x):
                     break
     return answer
 
@@ -235,7 +268,9 @@ def linear_steps(start: FloatArray, own: FloatArray, mode_of: IntArray, pushed: 
     """
     n_steps, n_states, n = pushed.shape
     states = np.empty((n_steps + 1, n_states, n))
-    states[0] = start
+    for state in range(n_states):
+        for point in range(n):
+            states[0, state, point] = start[state, point]
     for step in range(n_steps):
         mode = mode_of[step]
         for moved in range(n_states):

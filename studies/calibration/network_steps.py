@@ -13,40 +13,65 @@ N_TERMS = 13
 
 
 @compiled
-def _exponential(a: FloatArray, step: float, with_slopes: bool) -> tuple[FloatArray, FloatArray]:
-    """Return exp([[a, 1], [0, 0]] step) and its slopes by the entries of a. Shapes (2s, 2s), (s s, 2s, 2s).
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a @ b)
 
-    The slopes are zero where they are not wanted.
 
-    By scaling and squaring (Higham 2005, doi:10.1137/04061101X), each operation with its derivative.
+@compiled
+def _exponential(
+    a: FloatArray, step: float, with_slopes: bool, answer: FloatArray, slopes: FloatArray
+) -> None:
+    """Put exp([[a, 1], [0, 0]] step) into an array (2s, 2s), its slopes by the entries of a into another.
+
+    The slopes, of shape (s s, 2s, 2s) and zero at first, stay zero where they are not wanted.
+
+    By scaling and squaring (Higham 2005, doi:10.1137/04061101X), each operation with its derivative. Numbers
+    are moved one by one: whole arrays in one expression took ten seconds longer to compile, in total.
     """
     s = a.shape[0]
     n, n_slopes = 2 * s, s * s if with_slopes else 0
     matrix = np.zeros((n, n))
-    matrix[:s, :s] = a * step
+    norm, n_squares = 0.0, 0
     for i in range(s):
+        size = 0.0
+        for j in range(s):
+            matrix[i, j] = a[i, j] * step
+            size += abs(matrix[i, j])
         matrix[i, s + i] = step
-    norm, n_squares = np.abs(matrix).sum(axis=1).max(), 0
+        norm = max(norm, size + abs(step))
     while norm > 0.5:
         norm *= 0.5
         n_squares += 1
     scale = 0.5**n_squares
-    matrix *= scale
-    total, term = np.eye(n), np.eye(n)
-    slopes, slope = np.zeros((s * s, n, n)), np.zeros((s * s, n, n))
+    total, term = np.zeros((n, n)), np.zeros((n, n))
+    for i in range(n):
+        total[i, i] = term[i, i] = 1.0
+        for j in range(n):
+            matrix[i, j] *= scale
+    slope = np.zeros((s * s, n, n))
     for order in range(1, N_TERMS + 1):
         for d in range(n_slopes):
-            moved = slope[d] @ matrix
-            moved[:, d % s] += term[:, d // s] * (step * scale)
-            slope[d] = moved / order
-            slopes[d] += slope[d]
-        term = term @ matrix / order
-        total += term
+            moved = _product(slope[d], matrix)
+            for i in range(n):
+                moved[i, d % s] += term[i, d // s] * (step * scale)
+                for j in range(n):
+                    slope[d, i, j] = moved[i, j] / order
+                    slopes[d, i, j] += slope[d, i, j]
+        term = _product(term, matrix)
+        for i in range(n):
+            for j in range(n):
+                term[i, j] /= order
+                total[i, j] += term[i, j]
     for _ in range(n_squares):
         for d in range(n_slopes):
-            slopes[d] = slopes[d] @ total + total @ slopes[d]
-        total = total @ total
-    return total, slopes
+            left, right = _product(slopes[d], total), _product(total, slopes[d])
+            for i in range(n):
+                for j in range(n):
+                    slopes[d, i, j] = left[i, j] + right[i, j]
+        total = _product(total, total)
+    for i in range(n):
+        for j in range(n):
+            answer[i, j] = total[i, j]
 
 
 @compiled
@@ -88,19 +113,18 @@ def steps(
     n_slopes = n_couplings + s
     y = np.empty((n, n_times, n_outputs))
     slopes = np.zeros((n, n_times, n_outputs, n_slopes)) if with_slopes else np.zeros((n, 0, 0, 0))
-    inputs = np.concatenate((potentials, sources), axis=1)
-    n_potentials = potentials.shape[1]
+    n_potentials, n_sources = potentials.shape[1], sources.shape[1]
     x, flow, moved = np.empty(s), np.empty(s), np.empty(s)
     by_rate, by_coupling = np.empty((s * s, s)), np.empty((n_slopes, s))
     for point in range(n):
         rates = couplings[point]
         is_on = np.ones((n_patterns, n_couplings))
-        exact, tangents = np.empty((n_patterns, 2 * s, 2 * s)), np.empty((n_patterns, s * s, 2 * s, 2 * s))
-        driven = np.zeros((n_patterns, s, inputs.shape[1]))
+        exact, tangents = np.empty((n_patterns, 2 * s, 2 * s)), np.zeros((n_patterns, s * s, 2 * s, 2 * s))
+        driven = np.zeros((n_patterns, s, n_potentials + n_sources))
         for p in range(n_patterns):
             matrix = np.zeros((s, s))
             for e in range(n_couplings):
-                kind, i, j, switch = places[e]
+                kind, i, j, switch = places[e, 0], places[e, 1], places[e, 2], places[e, 3]
                 if switch >= 0:
                     is_on[p, e] = patterns[p, switch]
                 if kind == 0:
@@ -109,21 +133,24 @@ def steps(
                     matrix[i, i] -= rates[e] * is_on[p, e]
                 if kind > 0:
                     driven[p, i, j + (kind - 1) * n_potentials] += rates[e] * is_on[p, e]
-            exact[p], tangents[p] = _exponential(matrix, step, with_slopes)
-        x[:] = start[point]
-        by_coupling[:] = 0.0
-        for i in range(s):
-            by_coupling[n_couplings + i, i] = 1.0
+            _exponential(matrix, step, with_slopes, exact[p], tangents[p])
+        for a in range(s):
+            x[a] = start[point, a]
+            for e in range(n_slopes):
+                by_coupling[e, a] = 1.0 if e == n_couplings + a else 0.0
         for k in range(n_outputs):
             y[point, 0, k] = x[k]
             if with_slopes:
-                slopes[point, 0, k] = by_coupling[:, k]
+                for e in range(n_slopes):
+                    slopes[point, 0, k, e] = by_coupling[e, k]
         for m in range(pattern.size):
             p = pattern[m]
             for a in range(s):
                 total = 0.0
-                for b in range(inputs.shape[1]):
-                    total += driven[p, a, b] * inputs[m, b]
+                for b in range(n_potentials):
+                    total += driven[p, a, b] * potentials[m, b]
+                for b in range(n_sources):
+                    total += driven[p, a, n_potentials + b] * sources[m, b]
                 flow[a] = total
             if with_slopes:
                 for d in range(s * s):
@@ -139,7 +166,7 @@ def steps(
                             total += exact[p, a, b] * by_coupling[e, b]
                         moved[a] = total
                     if e < n_couplings and is_on[p, e] > 0.0:
-                        kind, i, j, _ = places[e]
+                        kind, i, j = places[e, 0], places[e, 1], places[e, 2]
                         for a in range(s):
                             if kind == 0:
                                 moved[a] += by_rate[i * s + j, a] - by_rate[i * s + i, a]
@@ -147,17 +174,20 @@ def steps(
                                 moved[a] += exact[p, a, s + i] * potentials[m, j] - by_rate[i * s + i, a]
                             else:
                                 moved[a] += exact[p, a, s + i] * sources[m, j]
-                    by_coupling[e] = moved
+                    for a in range(s):
+                        by_coupling[e, a] = moved[a]
             for a in range(s):
                 total = 0.0
                 for b in range(s):
                     total += exact[p, a, b] * x[b] + exact[p, a, s + b] * flow[b]
                 moved[a] = total
-            x[:] = moved
+            for a in range(s):
+                x[a] = moved[a]
             if (m + 1) % every == 0:
                 t = (m + 1) // every
                 for k in range(n_outputs):
                     y[point, t, k] = x[k]
                     if with_slopes:
-                        slopes[point, t, k] = by_coupling[:, k]
+                        for e in range(n_slopes):
+                            slopes[point, t, k, e] = by_coupling[e, k]
     return y, slopes

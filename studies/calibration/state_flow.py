@@ -116,7 +116,9 @@ class LinearFlow:
         # Only who needs it waits for numba.
         from studies.calibration.flow_steps import linear_steps
 
-        states = linear_steps(np.where(is_wrong, np.nan, start), own, mode_of, pushed)
+        # One layout of arrays: each other one would be compiled anew.
+        begin = np.ascontiguousarray(np.where(is_wrong, np.nan, start))
+        states = linear_steps(begin, own, np.ascontiguousarray(mode_of), pushed)
         return states[:: signals.every // n_skipped].transpose(2, 0, 1)
 
     def _matrices(self, rates: Sequence[FloatArray]) -> FloatArray:
@@ -213,7 +215,7 @@ class SteppedFlow:
         def solve(
             start: FloatArray, coefficients: FloatArray, driven: FloatArray, step_s: float, every: int
         ) -> FloatArray:
-            driven = np.ascontiguousarray(driven)
+            start, driven = np.ascontiguousarray(start), np.ascontiguousarray(driven)
             return steps(start, coefficients, driven, ends, places, step_s, self.n_parts, every, self.rules)
 
         return solve
