@@ -22,5 +22,8 @@ def as_for_fmus(environment: Mapping[str, str]) -> dict[str, str]:
 
     The URL of the studies' storage is none of its business either.
     """
-    hidden = ((_VARIABLE, _OURS), (_SECRET, environment.get(_SECRET)))
-    return {name: value for name, value in environment.items() if (name, value) not in hidden}
+    return {
+        name: value
+        for name, value in environment.items()
+        if name != _SECRET and (name, value) != (_VARIABLE, _OURS)
+    }

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Self
@@ -210,10 +210,12 @@ class StoredExperiments(StoredModel):
             theta: Parameters. Shape (n, p). [per parameter]
             on_progress: Called with the number of rows that are stored so far.
         """
-        n_new = int(self.missing(theta).sum())
+        theta = np.array(theta, dtype=np.float64)
+        lacking = {place: self._missing(place, theta) for place in self._places}
+        n_new = int(np.any([*lacking.values()], axis=0).sum())
         self.n_reused += len(theta) - n_new
         self.n_simulated += n_new
-        self._complete(theta, self._places, on_progress)
+        self._complete(theta, lacking, on_progress)
 
     def simulate_alone(self, theta: FloatArray, place: int) -> Trajectories:
         """Return rows of one experiment, as its own model would; those that are not stored are simulated.
@@ -222,24 +224,28 @@ class StoredExperiments(StoredModel):
             theta: Parameters of all experiments. Shape (n, p). [per parameter]
             place: Which experiment.
         """
-        self._complete(theta, [place])
+        theta = np.array(theta, dtype=np.float64)
+        self._complete(theta, {place: self._missing(place, theta)})
         store, one = self._joined_store.stores[place], self._joined_store.layout.experiments[place]
         return store.read(self._joined_store.layout.theta_of(one, theta))
 
     def _complete(
-        self, theta: FloatArray, places: Sequence[int], on_progress: Callable[[int], None] | None = None
+        self,
+        theta: FloatArray,
+        lacking: Mapping[int, BoolArray],
+        on_progress: Callable[[int], None] | None = None,
     ) -> None:
-        theta = np.array(theta, dtype=np.float64)
+        """Simulate and store the rows that experiments lack, by their places."""
         rows, wanted = self._joined.rows, list[FloatArray]()
-        for place in places:
+        for place, is_missing in lacking.items():
             own = rows.layout.experiments[place].parameters
             # Each missing part once, by the exact bytes of the experiment's own parameters.
-            parts = {row[own].tobytes(): row for row in theta[self._missing(place, theta)]}
+            parts = {row[own].tobytes(): row for row in theta[is_missing]}
             wanted.append(rows.rows(np.array([*parts.values()]).reshape(-1, theta.shape[1]), place))
         asked = np.concatenate(wanted)
-        n_stored = len(theta) * len(places) - len(asked)
+        n_stored = len(theta) * len(lacking) - len(asked)
         if on_progress is not None:
-            on_progress(n_stored // len(places))
+            on_progress(n_stored // len(lacking))
         if not len(asked):
             return
         pool = self._joined.model
@@ -252,4 +258,4 @@ class StoredExperiments(StoredModel):
                     self._joined_store.stores[place].append(part)
                 n_stored += chunk.n
                 if on_progress is not None:
-                    on_progress(n_stored // len(places))
+                    on_progress(n_stored // len(lacking))

@@ -226,8 +226,10 @@ class AdaptiveSearch:
         """Ask a first design, round by round where state equations may take less of it."""
         n_asked, q = 0, self._settings.n_parallel
         if self._ode is not None:
-            self._n_alone = self._ode.learn_alone(design)
-            self._recorder.pay(self._n_alone)
+            # At most as many rows' worth as points: the budget still holds a whole row afterwards.
+            self._n_alone = self._ode.learn_alone(design[: self._settings.max_calls - 1])
+            if self._n_alone:
+                self._recorder.pay(self._n_alone)
             if self._believed is None:
                 self._forget_alone()
             n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, len(design))

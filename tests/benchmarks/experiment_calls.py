@@ -8,6 +8,7 @@ of single experiments to 1.02 times that error, and to the end; gates nothing.
 """
 
 import argparse
+import math
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -19,11 +20,12 @@ from time import perf_counter
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "benchmarks")]
 
 from interval_coverage import in_experiments  # noqa: E402
+from two_rooms_for_tests import two_rooms_with  # noqa: E402
 
-from simulation import Case, Measurement, load_case  # noqa: E402
+from simulation import Case, Measurement  # noqa: E402
 from simulation.experiments import JoinedModel  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 from studies.calibration.experiments_ode import WatchedModel, learned_ode, watched_model  # noqa: E402
@@ -34,21 +36,11 @@ from studies.calibration.states import watching_states  # noqa: E402
 
 def cut(name: str, n: int, days: float) -> Case:
     """Return a case with n experiments: its own first ones, or its recording cut."""
-    if name == "two-rooms":
-        case = load_case(ROOT / "fmus" / name)
-        text = case.path.read_text(encoding="utf-8")
-        head, *tables = text.split("[[experiments]]")
-        # "random" and "together" move all inputs; any one experiment alone does not show all parameters.
-        order = ["random", "together", "door", "cooling", "heater-1", "heater-2", "in-turn"]
-        by_name = {table.split('"')[1]: table for table in tables}
-        kept = "[[experiments]]".join([head, *(by_name[one] for one in order[:n])])
-        with tempfile.TemporaryDirectory() as folder:
-            for key in ("fmu", "data"):
-                value = kept.split(f'\n{key} = "')[1].split('"')[0]
-                kept = kept.replace(f'\n{key} = "{value}"', f'\n{key} = "{case.path.parent / value}"')
-            (Path(folder) / "case.toml").write_text(kept, encoding="utf-8")
-            return load_case(Path(folder))
+    # "random" and "together" move all inputs; any one experiment alone does not show all parameters.
+    order = ["random", "together", "door", "cooling", "heater-1", "heater-2", "in-turn"]
     with tempfile.TemporaryDirectory() as folder:
+        if name == "two-rooms":
+            return two_rooms_with(Path(folder), *order[:n])
         return in_experiments(name, n, days, [], Path(folder))
 
 
@@ -124,16 +116,13 @@ def runs(case: Case, model: WatchedModel, seed: int) -> list[tuple[float, int]]:
     ]
     patient = LeastSquaresTRF(ftol=1e-9, xtol=1e-10, max_calls=2000)
     best = min(patient.minimize(problem, truth).mse, *(one.mse for one in found))
-    answers = list[tuple[float, int]]()
-    for one, n_alone in zip(found, (ode.n_alone, 0), strict=True):
-        calls = one.history.calls_to(1.02 * best)
-        if one is found[0]:
-            less = -(-n_alone // k)
-            to_best = np.inf if calls is None else (calls - less) * k + n_alone
-            answers.append((to_best, (one.n_calls - less) * k + n_alone))
-        else:
-            answers.append((np.inf if calls is None else calls, one.n_calls))
-    return answers
+    to_best = [one.history.calls_to(1.02 * best) or np.inf for one in found]
+    # Rows as simulations: what was simulated alone had counted as whole rows.
+    less = ode.n_alone - k * math.ceil(ode.n_alone / k)
+    return [
+        (k * to_best[0] + less, k * found[0].n_calls + less),
+        (to_best[1], found[1].n_calls),
+    ]
 
 
 def posed(case: Case, measurement: Measurement) -> Case:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from two_rooms_for_tests import two_rooms_with
 
 from simulation.arrays import FloatArray
-from simulation.case import Case, load_case
+from simulation.case import Case
 from simulation.experiments import JoinedModel
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
@@ -17,20 +18,6 @@ from studies.calibration.experiments_ode import learned_ode, watched_model
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.states import watching_states
-
-TWO_ROOMS = Path("fmus/two-rooms")
-
-
-def case_with(folder: Path, *names: str) -> Case:
-    """Return the two rooms with some of their experiments, in this order."""
-    text = (TWO_ROOMS / "case.toml").read_text(encoding="utf-8")
-    head, *tables = text.split("[[experiments]]")
-    by_name = {table.split('"')[1]: table for table in tables}
-    text = "[[experiments]]".join([head, *(by_name[name] for name in names)])
-    for name, place in (("TwoRooms.fmu", TWO_ROOMS), ("../../data/two-rooms", TWO_ROOMS)):
-        text = text.replace(f'"{name}"', f'"{(place / name).resolve()}"')
-    (folder / "case.toml").write_text(text, encoding="utf-8")
-    return load_case(folder)
 
 
 class SecondIsWarmer(JoinedModel):
@@ -55,20 +42,20 @@ class SecondIsWarmer(JoinedModel):
 
 @contextmanager
 def calibrated(
-    case: Case, kind: type[JoinedModel] = JoinedModel
+    case: Case, kind: type[JoinedModel] = JoinedModel, max_calls: int = 40
 ) -> Iterator[tuple[AdaptiveResult, LearnedODE]]:
     rows = watching_states(case).experiment_rows
     with closing(rows.open()) as parts:
         model = watched_model(case, kind(parts, rows, case.parameter_space))
         problem = CalibrationProblem(model, case.measurement)
         ode = learned_ode(case, model, problem)
-        yield Adaptive(max_calls=40).minimize(problem, seed=0, learned_ode=ode), ode
+        yield Adaptive(max_calls=max_calls).minimize(problem, seed=0, learned_ode=ode), ode
 
 
 def test_experiments_that_differ_in_inputs_and_start_values_cost_one_row_after_four_simulations(
     tmp_path: Path,
 ) -> None:
-    case = case_with(tmp_path, "cooling", "heater-1", "random", "together")
+    case = two_rooms_with(tmp_path, "cooling", "heater-1", "random", "together")
     with calibrated(case) as (found, ode):
         assert ode.n_alone == 4
         # Four of four experiments are worth one row.
@@ -78,7 +65,7 @@ def test_experiments_that_differ_in_inputs_and_start_values_cost_one_row_after_f
 
 
 def test_an_experiment_in_which_an_input_rests_says_nothing_of_it(tmp_path: Path) -> None:
-    case = case_with(tmp_path, "heater-1", "heater-2")
+    case = two_rooms_with(tmp_path, "heater-1", "heater-2")
     with calibrated(case) as (found, ode):
         assert ode.n_alone == 8
         assert found.n_calls == 5
@@ -86,7 +73,7 @@ def test_an_experiment_in_which_an_input_rests_says_nothing_of_it(tmp_path: Path
 
 
 def test_an_experiment_with_another_fixed_value_is_learnt_by_itself(tmp_path: Path) -> None:
-    case = case_with(tmp_path, "random", "together", "door")
+    case = two_rooms_with(tmp_path, "random", "together", "door")
     with calibrated(case) as (found, ode):
         assert ode.n_alone == 8
         assert found.n_calls == 4
@@ -96,7 +83,7 @@ def test_an_experiment_with_another_fixed_value_is_learnt_by_itself(tmp_path: Pa
 def test_equations_that_another_experiment_contradicts_are_learnt_there_from_whole_rows(
     tmp_path: Path,
 ) -> None:
-    case = case_with(tmp_path, "random", "together")
+    case = two_rooms_with(tmp_path, "random", "together")
     with calibrated(case, SecondIsWarmer) as (found, ode):
         # What was simulated alone is in the rows of the design that were asked then.
         assert ode.n_alone == 0
@@ -111,8 +98,16 @@ def test_a_failure_in_one_experiment_leaves_the_search_to_whole_rows(tmp_path: P
             answer = super().simulate_alone(theta, place)
             return replace(answer, y=np.full_like(answer.y, np.nan), failures=("it fails",) * len(theta))
 
-    case = case_with(tmp_path, "random", "together")
+    case = two_rooms_with(tmp_path, "random", "together")
     with calibrated(case, FirstFails) as (found, ode):
         assert ode.n_alone == 0
         assert found.converged
         assert found.n_calls <= 8
+
+
+def test_a_small_budget_is_kept_and_holds_a_whole_row(tmp_path: Path) -> None:
+    case = two_rooms_with(tmp_path, "heater-1", "heater-2")
+    with calibrated(case, max_calls=3) as (found, ode):
+        assert ode.n_alone == 0
+        assert found.n_calls == 3
+        assert np.isfinite(found.mse)
