@@ -1,14 +1,10 @@
 """Tune the surrogates of several training-set sizes side by side, in worker processes."""
 
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import IO, Any
+from typing import Any
 
 import optuna
 from optuna.storages import RDBStorage
@@ -18,19 +14,17 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.report.wording import setting, significant
 from studies.stages.pipeline import StageError
-from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
 from studies.tuning.storage import storage_of, study_locked
 from studies.tuning.study_results import TunedStudy, latest_studies, read_studies, read_study
+from studies.tuning.worker_process import WorkerProcess
 
 POLL_S = 0.5
 MAX_DEATHS = 3
 """Deaths of a worker in a row that brought no trial to its end."""
-# Else every worker would start a thread per core.
-THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
@@ -68,7 +62,7 @@ class _Size:
     """The studies of one training-set size, which share workers: a worker's start costs seconds."""
 
     parts: list[_Part]
-    workers: dict["subprocess.Popen[bytes]", IO[bytes]] = field(default_factory=dict)
+    workers: list[WorkerProcess] = field(default_factory=list)
     n_deaths: int = 0
     n_ended: int = 0
     results: dict[str, TunedStudy] = field(default_factory=dict)
@@ -80,16 +74,7 @@ class _Size:
 
     def start_worker(self, paths: ProjectPaths, until_s: float | None) -> None:
         names = [part.spec.name for part in self.parts]
-        # -P: a file of the user's folder must not shadow a module.
-        command = [sys.executable, "-P", "-m", "studies.tuning.worker", *names, "--child"]
-        command += [] if until_s is None else ["--until", repr(until_s)]
-        environment = os.environ | THREADS
-        if paths.storage is not None:  # not among the arguments, which every user of a machine can read
-            environment[STORAGE_VARIABLE] = paths.storage
-        # A file and no pipe: a full pipe would stop the worker until it is read.
-        said = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its worker)
-        worker = subprocess.Popen(command, cwd=paths.root, env=environment, stdout=said, stderr=said)
-        self.workers[worker] = said
+        self.workers.append(WorkerProcess(paths, names, until_s))
 
     def look_after_workers(self) -> None:
         """See which workers have ended, and why.
@@ -98,27 +83,27 @@ class _Size:
             InputError: a worker found the study unusable.
             StageError: a worker failed, or died again and again before it ended a trial.
         """
-        for worker in [one for one in self.workers if one.poll() is not None]:
-            with self.workers.pop(worker) as messages:
-                messages.seek(0)
-                lines = messages.read().decode(errors="replace").strip().splitlines()
-            if worker.returncode == 0:
+        for worker in [one for one in self.workers if one.exit_code is not None]:
+            self.workers.remove(worker)
+            code, said = worker.exit_code, worker.last_line()
+            assert code is not None, "it has ended"
+            if code == 0:
                 continue
             # Before anything is raised: the trial of the dead worker waits again whatever follows.
             for part in self.parts:
                 part.give_back()
-            said, name = lines[-1] if lines else "no message", self.parts[0].spec.name
+            name = self.parts[0].spec.name
             # As every command: bad input ends with 2, a fault of the machine with 1, a signal below 0.
-            if worker.returncode == 2:
+            if code == 2:
                 raise InputError(said)
-            if worker.returncode > 0:
+            if code > 0:
                 raise StageError(f"tune: a worker of {name} failed: {said}")
             n_ended = sum(trial.state.is_finished() for part in self.parts for trial in part.trials)
             self.n_deaths = self.n_deaths + 1 if n_ended <= self.n_ended else 1
             self.n_ended = n_ended
             if self.n_deaths > MAX_DEATHS:
                 raise StageError(
-                    f"tune: a worker of {name} was killed by signal {-worker.returncode} "
+                    f"tune: a worker of {name} was killed by signal {-code} "
                     f"{self.n_deaths} times before it ended a trial ({said})"
                 )
 
@@ -127,9 +112,8 @@ class _Size:
         for worker in self.workers:
             # All are killed before the first is waited for.
             worker.kill()
-        for worker, messages in self.workers.items():
-            worker.wait()
-            messages.close()
+        for worker in self.workers:
+            worker.join()
         # What cannot be done now, as where the storage is away, the next command does.
         with suppress(Exception):
             for part in self.parts:

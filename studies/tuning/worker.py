@@ -1,12 +1,11 @@
 """A worker process: runs trials of studies, one after the other, until they have as many as planned.
 
 `python -P -m studies.tuning.worker STUDY ...`, in the project's folder, on any machine with the same storage.
-Started by `studies tune`, it ends with it.
+`studies tune` starts workers itself, and they end with it.
 """
 
 import argparse
 import math
-import signal
 import sys
 import tempfile
 import time
@@ -23,7 +22,6 @@ from pelsvae.device import resolve_device
 from pelsvae.epochs import EpochReport
 from pelsvae.surrogate_files import save_surrogate
 from simulation.errors import InputError
-from simulation.pool.family import end_with_parent
 from studies.paths import ProjectPaths, find_project
 from studies.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
@@ -192,16 +190,11 @@ class Worker:
 
 
 def main() -> int:
-    """Run the trials of one study; the last line of standard error says why it could not."""
+    """Run the trials of studies; the last line of standard error says why it could not."""
     parser = argparse.ArgumentParser(prog="python -P -m studies.tuning.worker", description=__doc__)
     parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
     parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
-    parser.add_argument("--child", action="store_true", help="end with the process that started this one")
     chosen = parser.parse_args()
-    if chosen.child:
-        # By the system (prctl), as a killed command cannot end its workers itself.
-        end_with_parent()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which stops its workers
     try:
         for name in chosen.studies:
             Worker(find_project(None), name).run(until_s=chosen.until)

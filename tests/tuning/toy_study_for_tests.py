@@ -171,8 +171,8 @@ def workers_of(process: int) -> list[psutil.Process]:
     found = []
     for one in psutil.Process(process).children(recursive=True):
         with suppress(psutil.Error):  # it has just ended
-            if "studies.tuning.worker" in " ".join(one.cmdline()):
-                found.append(one)
+            if "multiprocessing.forkserver" in " ".join(one.cmdline()):
+                found += one.children()
     return found
 
 

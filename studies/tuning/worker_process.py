@@ -1,0 +1,116 @@
+"""Worker processes of a command, forked from one process that has imported what all need."""
+
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import forkserver
+from types import ModuleType
+
+from simulation.errors import InputError
+from studies.paths import ProjectPaths
+
+# Else every worker would start a thread per core, and import what lies in the working folder.
+_SURROUNDINGS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+_SURROUNDINGS |= {"PYTHONSAFEPATH": "1"}
+# These imports take 7 s of processor time.
+_FORKED = multiprocessing.get_context("forkserver")
+_FORKED.set_forkserver_preload(["studies.tuning.worker"])
+
+
+class WorkerProcess:
+    """A process that runs trials of studies and ends with the one that started it.
+
+    Args:
+        paths: the project.
+        names: names of the studies.
+        until_s: no trial begins after this moment. [s since 1970, UTC]
+    """
+
+    def __init__(self, paths: ProjectPaths, names: Sequence[str], until_s: float | None) -> None:
+        # A file and no pipe: a full pipe would stop the worker until it is read.
+        self._said = tempfile.NamedTemporaryFile()  # noqa: SIM115 (closed with its worker)
+        given = (paths, names, until_s, self._said.name, dict(os.environ))
+        self._process = _FORKED.Process(target=_work, args=given, daemon=True)
+        with _fork_server():
+            self._process.start()
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs; 2 where a study cannot be used, minus the signal where one ended it."""
+        return self._process.exitcode
+
+    def last_line(self) -> str:
+        """Return the last line of what it printed; it has ended."""
+        with self._said as messages:
+            messages.seek(0)
+            lines = messages.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "no message"
+
+    def kill(self) -> None:
+        """Kill it, and do not wait for its end."""
+        self._process.kill()
+
+    def join(self) -> None:
+        """Wait for its end."""
+        self._process.join()
+        self._said.close()
+
+
+@contextmanager
+def _fork_server() -> Iterator[None]:
+    """Have the process that workers are forked from, and hide a user's script, which they would run again."""
+    before, script = dict(os.environ), sys.modules["__main__"]
+    # Ctrl-C is for the command, which stops its workers; also while these import.
+    masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    os.environ.update(_SURROUNDINGS)
+    try:
+        forkserver.ensure_running()
+    finally:
+        for name in _SURROUNDINGS.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
+def _work(
+    paths: ProjectPaths,
+    names: Sequence[str],
+    until_s: float | None,
+    messages: str,
+    environment: dict[str, str],
+) -> None:
+    """Be a worker: print into a file, and exit with 2 where a study cannot be used."""
+    from studies.tuning.worker import Worker  # imported before the fork, and not in the command itself
+
+    threading.Thread(target=_end_with_command, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(paths.root)
+    with open(messages, "wb") as file:  # noqa: PTH123 (by the descriptor)
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(file.fileno(), stream.fileno())
+    try:
+        for name in names:
+            Worker(paths, name).run(until_s=until_s)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(2)
+
+
+def _end_with_command() -> None:
+    """Wait for the end of the command: a killed one cannot end its workers itself."""
+    command = multiprocessing.parent_process()
+    assert command is not None, "multiprocessing started this process"
+    command.join()
+    os.kill(os.getpid(), signal.SIGKILL)
