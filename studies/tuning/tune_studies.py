@@ -18,9 +18,9 @@ from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
+from studies.tuning.forked_worker import ForkedWorker
 from studies.tuning.storage import storage_of, study_locked
 from studies.tuning.study_results import TunedStudy, latest_studies, read_studies, read_study
-from studies.tuning.worker_process import WorkerProcess
 
 POLL_S = 0.5
 MAX_DEATHS = 3
@@ -62,7 +62,7 @@ class _Size:
     """The studies of one training-set size, which share workers: a worker's start costs seconds."""
 
     parts: list[_Part]
-    workers: list[WorkerProcess] = field(default_factory=list)
+    workers: list[ForkedWorker] = field(default_factory=list)
     n_deaths: int = 0
     n_ended: int = 0
     results: dict[str, TunedStudy] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class _Size:
 
     def start_worker(self, paths: ProjectPaths, until_s: float | None) -> None:
         names = [part.spec.name for part in self.parts]
-        self.workers.append(WorkerProcess(paths, names, until_s))
+        self.workers.append(ForkedWorker(paths, names, until_s))
 
     def look_after_workers(self) -> None:
         """See which workers have ended, and why.

@@ -22,7 +22,7 @@ _FORKED = multiprocessing.get_context("forkserver")
 _FORKED.set_forkserver_preload(["studies.tuning.worker"])
 
 
-class WorkerProcess:
+class ForkedWorker:
     """A process that runs trials of studies and ends with the one that started it.
 
     Args:
