@@ -78,9 +78,9 @@ def values_of(powers: IntArray, theta: FloatArray) -> FloatArray:
     """Return products with powers (m, p) at parameters (n, p). Shape (n, m)."""
     # Powers of 1 and -1 need no logarithms, which negative parameters would not have.
     values = np.ones((len(theta), len(powers)))
-    for j, column in enumerate(theta.T):
-        values[:, powers[:, j] > 0] *= column[:, None]
-        values[:, powers[:, j] < 0] /= column[:, None]
+    for j in np.flatnonzero(powers.any(axis=0)):
+        values[:, powers[:, j] > 0] *= theta[:, j, None]
+        values[:, powers[:, j] < 0] /= theta[:, j, None]
     return values
 
 
