@@ -50,13 +50,13 @@ class Shown:
 
     def write(self, folder: Path, command: str) -> list[Path]:
         """Write table and numbers, draw the picture, and return the files, the JSON file first."""
-        from studies.report.drawing import write_png
+        from studies.report.drawing import write_picture
 
         table = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         write_json(folder / RESULT, {"command": command, "title": self.title, "table": table, **self.more})
         if self.figure is None:
             return [folder / RESULT]
-        return [folder / RESULT, write_png(self.figure, folder / self.picture, footnote=self.footnote)]
+        return [folder / RESULT, write_picture(self.figure, folder / self.picture, footnote=self.footnote)]
 
 
 def module_of(item: str) -> Any:

@@ -1,7 +1,7 @@
-"""Pictures as data: panels of series, written as CSV, as a Vega-Lite specification, and as a PNG.
+"""Pictures as data: panels of series, written as CSV, as a Vega-Lite specification, and as a picture.
 
-The page draws the specification in the browser, where it zooms and shows values; MLflow and the pages of the
-documentation get the PNG of the same specification.
+The page draws the specification in the browser, where it zooms and shows values; MLflow gets an SVG of it,
+which is made in half the time, and the pages of the documentation a PNG.
 """
 
 from __future__ import annotations
@@ -302,24 +302,28 @@ def _position(name: str, axis: Axis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_png(figure: Figure, path: Path, *, footnote: str = "") -> Path:
+def write_picture(figure: Figure, path: Path, *, footnote: str = "") -> Path:
     """Draw a figure into a file, which is replaced in one step.
 
     Args:
         figure: What to draw.
-        path: Where the PNG goes; the folder is made.
+        path: Where the picture goes, an SVG or a PNG by its name; the folder is made.
         footnote: Small print below the title, e.g. the label of a study.
 
     Returns:
         The path.
     """
-    from vl_convert import vegalite_to_png
+    from vl_convert import vegalite_to_png, vegalite_to_svg
 
     title = {
         "text": textwrap.wrap(figure.title, 90), "subtitle": textwrap.wrap(footnote, 120, max_lines=2),
         "fontWeight": "bold", "fontSize": 13, "subtitleColor": MUTED, "subtitleFontSize": 10, "offset": 12,
     }  # fmt: skip
-    content = vegalite_to_png(json.dumps({**figure.specification(), "title": title}), scale=PIXELS_PER_UNIT)
+    specification = json.dumps({**figure.specification(), "title": title})
+    if path.suffix == ".svg":
+        content = vegalite_to_svg(specification).encode()
+    else:
+        content = vegalite_to_png(specification, scale=PIXELS_PER_UNIT)
     with whole_file(path) as file:
         file.write(content)
     return path

@@ -12,7 +12,7 @@ from simulation.case import of_experiment
 from simulation.other_inputs import settings_with_inputs
 from simulation.whole_file import whole_file
 from studies.physical_model import open_physical_model
-from studies.report.drawing import write_png
+from studies.report.drawing import write_picture
 from studies.report.figures_calibration import prediction_figure
 from studies.report.wording import count
 from studies.stages.finished import stored_uncertainties
@@ -85,7 +85,7 @@ def predict_stage(
         with whole_file(table) as stream:
             stream.write(pd.DataFrame(dict(found.columns())).to_csv(index=False).encode())
         figure = prediction_figure(found, None if recording is not None else case.measurement)
-        write_png(figure, picture, footnote=f"{study.label}, {source}")
+        write_picture(figure, picture, footnote=f"{study.label}, {source}")
         return found
 
     return stage.once(predict, files=[table, picture], log=log_prediction)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.report.drawing import Figure, write_png
+from studies.report.drawing import Figure, write_picture
 from studies.report.figures_calibration import band_figure, calibration_figure, calls_figure, interval_figure
 from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome, Study
@@ -139,7 +139,7 @@ def _log(
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         drawn = [
-            write_png(figure, Path(scratch) / f"{picture}.png", footnote=study.label)
+            write_picture(figure, Path(scratch) / f"{picture}.svg", footnote=study.label)
             for picture, figure in (pictures or {}).items()
         ]
         log_stage(

@@ -16,7 +16,7 @@ from project_for_tests import Run, copy_of, make_calibrated_wall, stored_simulat
 from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
-from studies.report.drawing import write_png
+from studies.report.drawing import write_picture
 from studies.report.figures_calibration import interval_figure
 from studies.report.sentences import uncertainty_sentences
 from studies.report.tables import intervals_table
@@ -136,7 +136,7 @@ def test_a_sample_that_is_worth_nothing_gives_no_interval(
     box = load_case(undisturbed / "fmus" / "wall").parameter_space
     table = intervals_table(box, found)
     assert [row[-1] == "too few calls" for row in table.rows] == [not is_trusted] * 7
-    assert write_png(interval_figure(box, found), tmp_path / "intervals.png").stat().st_size > 10_000
+    assert write_picture(interval_figure(box, found), tmp_path / "intervals.png").stat().st_size > 10_000
 
 
 def test_where_rows_are_stored_and_no_result_it_goes_on_and_simulates_nothing_twice(

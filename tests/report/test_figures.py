@@ -21,7 +21,7 @@ from records_for_tests import (
 
 from simulation.case import Case
 from simulation.samples import Samples
-from studies.report.drawing import Figure, with_gaps, write_png
+from studies.report.drawing import Figure, with_gaps, write_picture
 from studies.report.figures_calibration import (
     band_figure,
     calibration_figure,
@@ -50,7 +50,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 
 def ink(figure: Figure, path: Path) -> float:
     """Return the fraction of pixels of a drawn figure that are not background."""
-    with Image.open(write_png(figure, path)) as picture:
+    with Image.open(write_picture(figure, path)) as picture:
         pixels = np.asarray(picture.convert("L"))
     return float(np.mean(pixels < 250))
 
@@ -68,7 +68,8 @@ def test_picture_is_not_blank_and_has_the_same_bytes_each_time(name: str, tmp_pa
     assert [file.name for file in path.parent.iterdir()] == [path.name]
     content = path.read_bytes()
     assert content.startswith(b"\x89PNG\r\n\x1a\n")
-    assert write_png(FIGURES[name](), path).read_bytes() == content
+    assert write_picture(FIGURES[name](), path).read_bytes() == content
+    assert "<path" in write_picture(FIGURES[name](), path.with_suffix(".svg")).read_text(encoding="utf-8")
 
 
 def test_a_figure_has_its_values_as_csv() -> None:
@@ -191,4 +192,4 @@ def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
     figure = sensitivity_figure(strange)
     assert len(values(figure, "datum['y']")) == 2 * 480
     assert ink(figure, tmp_path / "s.png") > 0.02
-    assert write_png(figure, tmp_path / "s.png", footnote="$\\bad{ 温 " * 60).stat().st_size > 10_000
+    assert write_picture(figure, tmp_path / "s.png", footnote="$\\bad{ 温 " * 60).stat().st_size > 10_000
