@@ -1,6 +1,7 @@
 """What holds for all tests."""
 
 import atexit
+import functools
 import gc
 import os
 import shutil
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from alembic.util import pyfiles
 from made_once import made_once
 
 if TYPE_CHECKING:
@@ -27,6 +29,11 @@ for library in ("OMP", "MKL", "OPENBLAS"):
 # Processes that simulate are forked from one that has imported what they need. Another environment needs
 # another one of these, which takes a second: so no test has a variable of its own without need.
 os.environ.pop("STUDIES_ROOT", None)
+
+
+# Alembic runs the files of MLflow's 50 schema versions again for every new database, 0.3 s each time.
+_load, _load_once = pyfiles.load_module_py, functools.cache(pyfiles.load_module_py)
+pyfiles.load_module_py = lambda name, path: (_load if name == "env_py" else _load_once)(name, path)
 
 
 def _leave_pytest_unsaid() -> None:

@@ -1,5 +1,6 @@
 """A made-up recording: sines and squares that look like an office in winter, and nothing measured."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +44,16 @@ def made_up_recording(n_days: int = N_DAYS) -> dict[str, tuple[Array, Array]]:
 
 def write_csv_files(folder: Path, n_days: int = N_DAYS) -> None:
     """Write the two CSV files of a case."""
-    recording = made_up_recording(n_days)
     folder.mkdir(parents=True)
+    for name, text in _csv_files(n_days).items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+@cache
+def _csv_files(n_days: int) -> dict[str, str]:
+    recording = made_up_recording(n_days)
     occupancy = {"Occupancy": recording.pop("Occupancy")}
-    for name, series in (("recording_1800s.csv", recording), ("occupancy_600s.csv", occupancy)):
-        (folder / name).write_text(_as_csv(series), encoding="utf-8")
+    return {"recording_1800s.csv": _as_csv(recording), "occupancy_600s.csv": _as_csv(occupancy)}
 
 
 def _as_csv(series: dict[str, tuple[Array, Array]]) -> str:
