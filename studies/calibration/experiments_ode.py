@@ -130,6 +130,7 @@ class ExperimentsODE(LearnedODE):
         ]
         self._parts = [LearnedODE(model.signals, model.seen, own) for model, own in parts]
         self._layout, self._cases, self._model = layout, cases, model
+        self._n_shown = [0] * len(parts)
 
     @property
     def is_believed(self) -> bool:
@@ -187,13 +188,16 @@ class ExperimentsODE(LearnedODE):
         Returns:
             How many whole rows the simulations are worth, rounded up.
         """
-        waiting = list(range(len(self._parts)))
-        while waiting:
-            # What rests in an experiment shows nothing there; of the others the shortest costs least.
-            leader = min(waiting, key=lambda place: (-self._n_moving(place), len(self._driven(place))))
-            if not self._learn_in(leader, u):
+        # What rests in an experiment shows nothing there; of the others the shortest costs least.
+        order = sorted(
+            range(len(self._parts)), key=lambda one: (-self._n_moving(one), len(self._driven(one)))
+        )
+        known = list[int]()
+        for place in order:
+            leads = (leader for leader in known if self._follows(place, leader, u))
+            if next(leads, None) is None and not self._learn_in(place, u):
                 break
-            waiting = [place for place in waiting if place != leader and not self._follows(place, leader)]
+            known.append(place)
         return math.ceil(self.n_alone / len(self._parts))
 
     def _driven(self, place: int) -> FloatArray:
@@ -205,21 +209,25 @@ class ExperimentsODE(LearnedODE):
 
     def _learn_in(self, place: int, u: FloatArray) -> bool:
         """Simulate one experiment alone, as far as its equations need it; return whether they are sure."""
-        part, own = self._parts[place], self._layout.experiments[place].parameters
-        n_asked = 0
-        for n in range(LEAST_TO_LEARN, min(enough_for_equations(len(own)), len(u)) + 1):
-            points = u[n_asked:n]
-            answer = self._model.simulate_alone(self._problem.space.from_unit(points), place)
-            part.note(part._problem.judge(points[:, own], answer))
-            self.n_alone += len(points)
-            n_asked = n
-            if part.is_sure:
+        most = min(enough_for_equations(len(self._layout.experiments[place].parameters)), len(u))
+        for n in range(LEAST_TO_LEARN, most + 1):
+            self._parts[place].note(self._simulated_in(place, u[:n]))
+            if self._parts[place].is_sure:
                 return True
         return False
 
-    def _follows(self, place: int, leader: int) -> bool:
-        """Let an experiment follow another one's equations, where these say what they are there."""
-        mine, its = self._cases[leader], self._cases[place]
+    def _simulated_in(self, place: int, u: FloatArray) -> Evaluation:
+        """Simulate points of the first design in one experiment alone, those that it has not simulated."""
+        points = u[self._n_shown[place] :]
+        self._n_shown[place] = len(u)
+        self.n_alone += len(points)
+        answer = self._model.simulate_alone(self._problem.space.from_unit(points), place)
+        own = self._layout.experiments[place].parameters
+        return self._parts[place]._problem.judge(points[:, own], answer)
+
+    def _follows(self, place: int, leader: int, u: FloatArray) -> bool:
+        """Let an experiment follow another one's equations, where these or one row say what they are here."""
+        mine, its, part = self._cases[leader], self._cases[place], self._parts[place]
         equations = self._parts[leader]._equations
         if equations is None or not mine.differs_in_values(its):
             return False
@@ -228,9 +236,22 @@ class ExperimentsODE(LearnedODE):
             return False
         changed = [(float(here), float(there)) for here, there in pairs]
         found = equations.in_experiment(self._model.parts[place].signals, changed)
-        if found is not None:
-            self._parts[place].follow(found, self._parts[leader].misfit)
-        return found is not None
+        # Of two values that change something, one row does not say which does what.
+        if found is None or len(found[1]) > 1:
+            return False
+        follower, unknown = found
+        if not unknown:
+            part.follow(follower, self._parts[leader].misfit)
+            return True
+        if self._n_shown[place]:
+            return False
+        here, there = unknown[0]
+        answer = self._simulated_in(place, u[:1])
+        shown = part.with_effect(follower, answer, there - here)
+        if shown is not None:
+            part.follow(shown, self._parts[leader].misfit)
+        part.note(answer)
+        return part.is_sure
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked, each experiment from its part."""

@@ -238,6 +238,24 @@ class LearnedODE:
         """
         self._equations, self._is_given, self.misfit = equations, True, misfit
 
+    def with_effect(
+        self, equations: StateEquations, answer: Evaluation, amount: float
+    ) -> StateEquations | None:
+        """Return another experiment's equations with what the change of a fixed value adds to them here.
+
+        Args:
+            equations: The equations.
+            answer: One row of this experiment.
+            amount: The change. [FMU's unit]
+
+        Returns:
+            The equations; None where the row failed or shows something else.
+        """
+        rows = self._seen(answer.theta)
+        if not all(np.isfinite(part).all() for part in rows[:3]):
+            return None
+        return equations.with_effect(Points.of(self._problem.space, answer.u), rows, amount, self._products)
+
     def knows(self, u: FloatArray) -> BoolArray:
         """Return which points (n, p) it has learnt from. Shape (n,)."""
         return np.asarray((self._u == u[:, None]).all(axis=2).any(axis=1))

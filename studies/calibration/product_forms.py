@@ -104,6 +104,26 @@ class ProductSum:
         return 1.0 / values if self.is_reciprocal else values
 
 
+def shortest_product(products: Products, theta: FloatArray, value: float, amount: float) -> ProductSum | None:
+    """Return the shortest product, an amount or its opposite times parameters, that has a value at one point.
+
+    Args:
+        products: Those of the box.
+        theta: The point's parameters. Shape (p,). [per parameter]
+        value: What is explained.
+        amount: What parameters are multiplied with.
+
+    Returns:
+        The formula, None where no product is as exact as coefficients are.
+    """
+    powers = products.powers[: products.n_paired]
+    shares = value / (amount * values_of(powers, theta[None])[0])
+    found = np.flatnonzero((np.abs(shares) - 1.0) ** 2 < EXACT)
+    if not found.size:
+        return None
+    return ProductSum(amount * np.sign(shares[found[:1]]), powers[found[:1]])
+
+
 def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> ProductSum | None:
     """Explain values exactly by one product, or by the sum of two or three or its reciprocal.
 

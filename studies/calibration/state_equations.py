@@ -17,7 +17,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.coefficient import Coefficient, Points, formulas, values
-from studies.calibration.product_forms import Products
+from studies.calibration.product_forms import Products, shortest_product
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_terms import (
     N_ROWS,
@@ -302,10 +302,12 @@ class StateEquations:
         flow = _flow(signals, self.structure)
         # Fixed parts of a step, so that courses of inputs are compared with each other, and not their steps.
         if isinstance(self.flow, SteppedFlow):
-            flow = replace(self.flow, signals=signals)
+            flow = replace(self.flow, signals=signals, sums=flow.sums)
         return replace(self, signals=signals, flow=flow)
 
-    def in_experiment(self, signals: StateSignals, changed: Sequence[tuple[float, float]]) -> Self | None:
+    def in_experiment(
+        self, signals: StateSignals, changed: Sequence[tuple[float, float]]
+    ) -> tuple[Self, list[tuple[float, float]]] | None:
         """Return the equations as another experiment with the same model follows them.
 
         Args:
@@ -313,7 +315,8 @@ class StateEquations:
             changed: Values that are fixed, here and there, where they differ. [FMU's units]
 
         Returns:
-            The equations; None where rows of this experiment do not say what they are there.
+            The equations, and those of the changed values at which no state begins: what they do there, no
+            row has shown. None where rows of this experiment do not say what the equations are there.
         """
         mine = self.signals
         if mine.n_hidden or mine.n_switches:
@@ -323,18 +326,55 @@ class StateEquations:
         if (rests & (signals.driven != mine.driven[0]).any(axis=0)).any():
             return None
         start, known = list(self.start), [one.fixed_value for one in self.start]
+        unknown = list[tuple[float, float]]()
         for here, there in changed:
-            # A fixed value may be where states begin. What else it does, no row has shown.
+            # A fixed value may be where states begin.
             places = [
                 k for k, value in enumerate(known) if value is not None and np.isclose(value, here, 1e-9, 0)
             ]
-            other = {one for mine, one in changed if np.isclose(mine, here, 1e-9, 0)}
-            if not places or len(other) > 1:
+            if len({one for mine, one in changed if np.isclose(mine, here, 1e-9, 0)}) > 1:
                 return None
+            if not places:
+                unknown.append((here, there))
             for place in places:
                 start[place] = Coefficient.constant(there)
         moved = replace(self, start=tuple(start)).with_signals(signals)
-        return moved if type(moved.flow) is type(self.flow) else None
+        return (moved, unknown) if type(moved.flow) is type(self.flow) else None
+
+    def with_effect(self, points: Points, rows: StateRows, amount: float, products: Products) -> Self | None:
+        """Return the equations with what the change of a fixed value adds to them, as one row shows it.
+
+        What it adds is sought as few terms, each the change times a product of parameters: a door of 40 W/K
+        adds 40 / C times a difference of temperatures.
+
+        Args:
+            points: Where the row is. One point.
+            rows: What states and outputs did there.
+            amount: The change. [FMU's unit]
+            products: Of the box's parameters.
+
+        Returns:
+            The equations, None where the row shows something else.
+        """
+        sums, by_term, signals = list(self.structure.sums), list(self.by_term), self.signals
+        x, inputs = rows.x[:, 1:], signals.at_outputs[1:]
+        for place, (one, table, target) in enumerate(zip(sums, by_term, _targets(rows), strict=True)):
+            rest = target - np.einsum("ntf,nf->nt", one.values(x, inputs), values(table, points))
+            enough = most_left(signals, one.own, x) * np.square(target).sum()
+            if np.square(rest).sum() <= enough:
+                continue
+            terms = candidates(signals, one.own)
+            offered = Sum(one.own, tuple(terms)).values(x, inputs)
+            chosen, left = chosen_terms(terms, offered, rest)
+            fit = fitted(offered[0][:, chosen], rest[0])
+            found = [shortest_product(products, points.theta[0], value, amount) for value in fit.found]
+            if left * np.square(rest).sum() > enough or None in found:
+                return None
+            sums[place] = replace(one, terms=(*one.terms, *(terms[k] for k in chosen)))
+            by_term[place] = (*table, *(Coefficient(0.0, 0.0, formula=formula) for formula in found))
+        structure = replace(self.structure, sums=tuple(sums))
+        added = replace(self, structure=structure, by_term=tuple(by_term)).with_signals(signals)
+        return added if type(added.flow) is type(self.flow) else None
 
     def until(self, n_outputs: int) -> Self:
         """Return the same stepped equations over the first reported outputs alone."""

@@ -72,11 +72,20 @@ def test_an_experiment_in_which_an_input_rests_says_nothing_of_it(tmp_path: Path
         assert found.converged
 
 
-def test_an_experiment_with_another_fixed_value_is_learnt_by_itself(tmp_path: Path) -> None:
+def test_one_simulation_shows_what_another_fixed_value_adds(tmp_path: Path) -> None:
     case = two_rooms_with(tmp_path, "random", "together", "door")
     with calibrated(case) as (found, ode):
+        assert ode.n_alone == 5
+        # Five of three experiments are worth two rows.
+        assert found.n_calls == 3
+        assert found.converged
+        assert found.mse == pytest.approx(0.05**2, rel=0.1)
+
+
+def test_an_experiment_in_which_a_fixed_value_adds_no_product_is_learnt_by_itself(tmp_path: Path) -> None:
+    case = two_rooms_with(tmp_path, "random", "door")
+    with calibrated(case, SecondIsWarmer) as (found, ode):
         assert ode.n_alone == 8
-        assert found.n_calls == 4
         assert found.converged
 
 

@@ -14,9 +14,9 @@ def test_seven_experiments_find_what_all_share_and_predict_the_eighth(
     add_case(new_project, "two-rooms")
     found = studies("calibrate", "two-rooms", "--jobs", "2", "--json").stage
 
-    # Four simulations with the door shut, four with it open; these eight are worth two rows of seven.
-    assert found["state_equations"]["n_alone"] == 8
-    assert found["ledger"]["n_adaptive"] == 3
+    # Four simulations with the door shut, one with it open; these five are worth one row of seven.
+    assert found["state_equations"]["n_alone"] == 5
+    assert found["ledger"]["n_adaptive"] == 2
     assert found["state_equations"]["are_believed"]
     for name, value in TRUTH.items():
         assert abs(np.log(found["theta"][name] / value)) < 0.01, name
