@@ -1,5 +1,6 @@
 """The house rules that tools can check: style, strict types, direction of imports."""
 
+import ast
 import subprocess
 import sys
 import tomllib
@@ -58,3 +59,21 @@ def test_nothing_of_the_recording_is_tracked() -> None:
     if git.returncode != 0:
         pytest.skip("not a git checkout")
     assert git.stdout.split() == ["mlruns/README.md"]
+
+
+def test_every_constant_of_the_calibration_says_where_it_comes_from() -> None:
+    silent = []
+    for file in sorted((ROOT / "studies" / "calibration").glob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        lines, body = text.splitlines(), ast.parse(text).body
+        for one, after in zip(body, [*body[1:], None], strict=True):
+            name = ast.unparse(one).partition(" = ")[0]
+            numbers = [part for part in ast.walk(one) if isinstance(part, ast.Constant)]
+            if not (isinstance(one, ast.Assign) and name.isupper()):
+                continue
+            if not any(isinstance(number.value, int | float) for number in numbers):
+                continue
+            is_described = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if not (is_described or "#" in lines[one.lineno - 2] + lines[one.lineno - 1]):
+                silent.append(f"{file.name}: {name}")
+    assert silent == []

@@ -7,10 +7,10 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 
-MAX_STEPS = 40
-MAX_DAMPINGS = 12
-LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3
-FTOL = 1e-6
+# Steps, and attempts of each: by hand, most descents end after a few.
+MAX_STEPS, MAX_DAMPINGS = 40, 12
+# Relative to the curvature: rounding, and by hand. The relative gain that ends a descent is by hand, too.
+LEAST_DAMPING, FIRST_DAMPING, FTOL = 1e-9, 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from studies.calibration.residual_process import Features
 
 # Sum of squares, as a share of all, below which features explain a coefficient exactly.
 EXACT = 1e-10
+# Features of a sum: with more, few rows would leave none to judge by.
 MOST_FEATURES = 4
 # Of sets of features so many are looked at further; squares of a column below which others make it up.
 N_BEST, SAME_FEATURE = 12, 1e-9

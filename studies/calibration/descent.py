@@ -9,7 +9,9 @@ from studies.calibration.prior import Prior
 
 # Damped steps from all starts together.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
+# Damping relative to the curvature, as is usual for Levenberg-Marquardt; by hand.
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
+# Relative gain that ends a walk.
 FTOL = 1e-5
 
 Residuals = Callable[[FloatArray], FloatArray]

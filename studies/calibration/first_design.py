@@ -6,6 +6,7 @@ from simulation.arrays import FloatArray
 from studies.calibration.restart import inside
 from studies.calibration.search_constants import SEARCH
 
+# Latin hypercubes that are compared; by hand.
 N_DESIGNS = 200
 
 

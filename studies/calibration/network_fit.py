@@ -21,8 +21,9 @@ N_ALIKE = 40.0
 COST, WIDE, NARROW, NARROWER = 2.0, 0.5, 0.1, 0.965
 # The scaled misfit that rows are weighed by, at first and at least, and by how much it falls in a step.
 FIRST, LEAST, FALL = 5.0, 1e-7, 0.7
+# Damping as is usual for Levenberg-Marquardt; by hand.
 DAMPING, EASIEST, EASIER, HARDER = 1.0, 1e-9, 0.2, 2.0
-N_TRIALS = 10
+N_TRIALS = 10  # attempts of a step
 # Steps of a constant beyond which a step is shortened, and part of a step at which its bend is measured.
 MOST_STEP, PART = 3.0, 0.1
 # A step bends too much where its correction is this part of it (Transtrum and Sethna 2012, arXiv:1201.5885).

@@ -17,7 +17,7 @@ from studies.calibration.search_constants import SEARCH
 # Most steps of the first fit, in parts, and of each later one; shares of the outputs' standard deviation that
 # it may leave unexplained after the first part and at last.
 FIRST_STEPS, LATER_STEPS = (20, 25), 15
-EXPLAINED = (0.15, 0.03)
+EXPLAINED = (0.15, 0.03)  # those shares
 # Latest rows that are fitted: the best and the last ones are among them.
 MOST_ROWS = 48
 # Points that are looked at, and how many of the best of them, beside best rows and last ends, are walked

@@ -28,6 +28,7 @@ GTOL = 1e-10
 DIFFERENCE_STEP = 1e-5
 """Step of the differences in the coordinates of the search. [1]"""
 
+# By the status of SciPy.
 STOP_REASONS = {
     0: "the limit of iterations is reached",
     1: "the gradient is below gtol",

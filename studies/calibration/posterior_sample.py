@@ -17,6 +17,7 @@ from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_kernel import CONSTANT
 from studies.calibration.residual_process import ResidualProcess
 
+# Cosines of a random function; by hand: they err by about one over the root of their number.
 N_COSINES = 300
 
 

@@ -22,11 +22,12 @@ CONSTANT = 10.0
 
 # Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
 LENGTH_PRIOR = (np.log(1.5), 1.0)
-SLOPE_PRIOR = (np.log(1.0), 1.0)
+SLOPE_PRIOR = (np.log(1.0), 1.0)  # of the linear part, relative to the bumps
 # Noise of a row that differs from the measurement as much as rows differ, relative to that.
 NOISE_PRIOR = (np.log(1e-2), 0.5)
+# Far outside of the priors: they keep the search finite.
 LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
-SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
+SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))  # likewise
 # With 0.1 at most instead of 0.3, two of five searches from stored rows
 # never arrived (docs/notes/adaptive-search.md, Stored simulations).
 NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))

@@ -24,6 +24,7 @@ NEARLY_COMPLETE = 1e-14
 SAME_TERM = 1e-10
 # A term without which less than this is left is none.
 NEEDLESS = 1e-10
+# A sum of more terms is none that a person wrote; the largest of the models tried has ten.
 MOST_TERMS = 16
 # So many candidates, at twice as many times, are looked at all at once.
 MOST_AT_ONCE = 200

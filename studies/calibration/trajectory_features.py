@@ -10,6 +10,7 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.search_constants import SEARCH
 
+# Kinds of features, see `TrajectoryFeatures`.
 N_KINDS = 3
 
 

@@ -15,8 +15,7 @@ from studies.calibration.recorder import History, OnProgress
 from studies.calibration.screen import DifferentialEvolution, ScreenResult
 
 # A screened point that the physical model cannot simulate gives way to others, at least this far away.
-MAX_SCREEN_CHECKS = 5
-DISTANCE_FROM_FAILURE = 0.1
+MAX_SCREEN_CHECKS, DISTANCE_FROM_FAILURE = 5, 0.1
 
 
 @dataclass(frozen=True)
