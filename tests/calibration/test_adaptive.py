@@ -159,7 +159,8 @@ def test_an_error_that_is_too_large_is_no_convergence_where_valleys_may_hide() -
 
 
 def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated() -> None:
-    found = SHORT.minimize(problem_on(ToyRC(), TRUE_RC).on(ToyRC(fails_above_r=1.2)), seed=0)
+    problem = problem_on(ToyRC(), TRUE_RC).on(ToyRC(fails_above_r=1.2))
+    found = Adaptive(max_calls=30).minimize(problem, seed=0)
     assert 0.9 * 1.2 <= found.theta[0] <= 1.2
 
 
