@@ -1,4 +1,4 @@
-"""Priors: the closed form of a linear model, every solver, and no change without one."""
+"""Priors: the closed form of a linear model, every solver, exact derivatives, and no change without one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -143,6 +143,17 @@ def test_the_penalty_is_what_is_written() -> None:
     np.testing.assert_allclose(
         np.sum(prior.rows(u, m) ** 2, axis=1) / m + answer.mse, answer.objective, rtol=1e-12
     )
+
+
+def test_gradient_and_curvature_of_the_penalty_are_exact() -> None:
+    # Slopes of rows that were wrong would miss the closed form; these would miss it by too little.
+    prior = line_problem().prior
+    assert prior is not None
+    u, step = np.array([0.2, 0.5, 0.9]), 1e-6
+    found = prior.expand(u)
+    moved = prior.penalty(u + step * np.eye(3))
+    np.testing.assert_allclose((moved - found.value) / step, found.gradient, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(found.hessian, np.diag(prior.row_slopes(12) ** 2) * 2 / 12, rtol=1e-12)
 
 
 def measured(uncertainty: float = 0.5, lasts_s: float | None = None) -> Measurement:
