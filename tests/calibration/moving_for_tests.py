@@ -1,15 +1,28 @@
-"""Models by their slopes, for tests of state equations; they show all states and what these do."""
+"""Models by their slopes and cases whose states are watched, for tests of state equations."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.case import Case, load_case
+from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.states import StateSignals
+from studies.calibration.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.coefficient import Points
+from studies.calibration.first_design import latin_hypercube
+from studies.calibration.learned_ode import LearnedODE
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.product_forms import Products
+from studies.calibration.state_equations import LEARNT, StateEquations, Structure
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
+FMUS = Path(__file__).parents[2] / "fmus"
 N_FINE = 4
 
 
@@ -33,6 +46,8 @@ class Moving:
         shown: The outputs, from parameters, states and inputs.
         offsets: What is added to an output's unit of the FMU.
         every: Steps per output.
+        depends_on: What each state's slope may follow; empty: anything.
+        kick: What the first state jumps by half-way, which no slope shows.
     """
 
     parameter_space: ParameterSpace
@@ -44,6 +59,8 @@ class Moving:
     shown: Callable[[FloatArray, FloatArray, FloatArray], list[FloatArray]] = _first
     offsets: tuple[float, ...] = field(default=(0.0,))
     every: int = 1
+    depends_on: tuple[frozenset[str] | None, ...] = ()
+    kick: float = 0.0
 
     @property
     def signals(self) -> StateSignals:
@@ -54,7 +71,7 @@ class Moving:
             derivatives=tuple(f"der({name})" for name in names),
             inputs=tuple(f"u{j}" for j in range(self.inputs.shape[1])),
             units=self.units,
-            depends_on=(None,) * n_states,
+            depends_on=self.depends_on or (None,) * n_states,
             driven=self.inputs,
             step_s=self.step_s,
             every=self.every,
@@ -84,6 +101,7 @@ class Moving:
                 two = slope(x + 0.5 * h * one, u)
                 three = slope(x + 0.5 * h * two, u)
                 x = x + h / 6.0 * (one + 2.0 * two + 2.0 * three + slope(x + h * three, u))
+            x[0] += self.kick * (len(rows) == len(self.inputs) // 2)
             shown = np.array(self.shown(theta, x, u)) + np.array(self.offsets)[:, None]
             rows.append(np.concatenate([shown, x, slope(x, u)]).T)
         return Trajectories.checked(
@@ -97,3 +115,42 @@ class Moving:
 
 def box(**bounds: tuple[float, float]) -> ParameterSpace:
     return ParameterSpace(tuple(Parameter(name, *ends, scale="log") for name, ends in bounds.items()))
+
+
+def measured(model: Moving, theta: FloatArray, noise: float) -> CalibrationProblem:
+    """Pose the problem of finding these parameters from the first output with noise."""
+    watched = WatchedModel(model, model.signals)
+    y = watched.simulate(theta[None]).y[0]
+    y = y + noise * np.random.default_rng(0).standard_normal(y.shape)
+    return CalibrationProblem(watched, Measurement.on_grid(model.time, y, ("y0",), np.array([noise])))
+
+
+def learnt(model: Moving, n: int) -> StateEquations:
+    """Learn equations from so many rows."""
+    space, watched = model.parameter_space, WatchedModel(model, model.signals)
+    u = 0.1 + 0.8 * latin_hypercube(n, space.n_parameters, np.random.default_rng(0))
+    rows = watched.seen(watched.simulate(space.from_unit(u)).theta)
+    structure = Structure.of(model.signals, rows)
+    assert structure.misfit < LEARNT
+    found, _ = structure.fitted(model.signals, rows)
+    equations = StateEquations.learn(
+        model.signals, structure, Points.of(space, u), rows.x, found, Products.of(space)
+    )
+    assert isinstance(equations, StateEquations)
+    return equations
+
+
+@contextmanager
+def watched_case(folder: Path) -> Iterator[tuple[Case, CalibrationProblem]]:
+    """Load a case, whose problem watches its states."""
+    case = load_case(folder)
+    with watching_states(case).open_model() as model:
+        yield case, CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+
+
+def with_equations(
+    problem: CalibrationProblem, seed: int = 0, **settings: Any
+) -> tuple[AdaptiveResult, LearnedODE]:
+    """Calibrate with state equations."""
+    ode = LearnedODE.of(problem)
+    return Adaptive(**settings).minimize(problem, seed=seed, learned_ode=ode), ode

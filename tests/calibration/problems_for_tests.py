@@ -49,29 +49,6 @@ class FailsInBand(WrappedModel):
 
 
 @dataclass(frozen=True)
-class TwoOutputs:
-    """A slope and an intercept seen through two outputs of different size."""
-
-    parameter_space: ParameterSpace = field(
-        default_factory=lambda: ParameterSpace(
-            (Parameter("slope", -1.0, 1.0), Parameter("intercept", -1.0, 1.0))
-        )
-    )
-    output_names: tuple[str, ...] = ("fine", "coarse")
-    time: FloatArray = field(default_factory=lambda: np.arange(5.0))
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        line = theta[:, :1] * self.time + theta[:, 1:]
-        return Trajectories.checked(
-            theta,
-            np.stack([line, 100.0 * line], axis=2),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-        )
-
-
-@dataclass(frozen=True)
 class Waves:
     """A decaying oscillation of unknown frequency: its error has many valleys."""
 

@@ -17,7 +17,6 @@ from studies.calibration.search_constants import SEARCH
 FEATURES = Features.of(ToyRC().parameter_space)
 # Differences of 1e-6 in the cube leave about 1e-6 of the gradient.
 GRADIENT_RTOL = 1e-4
-NOTHING, MUCH = np.full(SEARCH.n_drawn, -0.5), np.full(SEARCH.n_drawn, 2.0 * SEARCH.promised)
 
 
 def taught(n: int, seed: int = 0) -> tuple[ProcessGroups, FloatArray, FloatArray]:
@@ -35,15 +34,11 @@ def test_the_gradient_of_a_drawn_function_is_that_of_its_value() -> None:
         np.testing.assert_allclose(gradient, numeric, rtol=GRADIENT_RTOL, atol=1e-4 * np.abs(gradient).max())
 
 
-def places(n: int, n_rows: int = 12) -> tuple[FloatArray, FloatArray]:
-    process, u, mse = taught(n_rows)
-    best, rng = int(np.argmin(mse)), np.random.default_rng(1)
-    rows = u, np.ones(n_rows, dtype=np.bool_)
-    return least_unlikely(process, None, (u[best], float(mse[best])), rows, n, rng)
-
-
 def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
-    _, away = places(1, n_rows=40)
+    process, u, mse = taught(40)
+    best = u[mse.argmin()], float(mse.min())
+    rng = np.random.default_rng(1)
+    _, away = least_unlikely(process, None, best, (u, np.ones(40, dtype=np.bool_)), 1, rng)
     assert np.median(away) > SEARCH.promised
     problem = rc_problem(noise=0.05)
     at = LeastSquaresTRF().minimize(problem, problem.space.to_unit(TRUE_RC)).u
@@ -56,28 +51,15 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     assert np.median(gains) < SEARCH.promised
 
 
-def looked(gains: FloatArray) -> Confirmation:
-    """Make all tests and restarts that are owed, none of which gains anything."""
-    confirmation = Confirmation()
-    while True:
-        assert not confirmation.is_tested
-        confirmation.note_test(gains)
-        assert confirmation.is_tested
-        if confirmation.has_looked:
-            return confirmation
-        confirmation.n_restarts += 1
-
-
-def test_where_nothing_is_promised_tests_and_restarts_in_vain_converge() -> None:
-    confirmation = looked(NOTHING)
-    assert confirmation.n_restarts == SEARCH.restarts_owed
-    assert confirmation.ending(switches=False).converged
-
-
 def test_what_is_promised_and_not_found_is_said() -> None:
-    confirmation = looked(MUCH)
+    """After all tests and restarts that are owed, none of which gains anything."""
+    confirmation = Confirmation()
+    for n_restarts in range(SEARCH.restarts_owed + 1):
+        confirmation.n_restarts = n_restarts
+        assert not confirmation.is_tested
+        confirmation.note_test(np.full(SEARCH.n_drawn, 2.0 * SEARCH.promised))
+        assert confirmation.is_tested
+    assert confirmation.has_looked
     assert not confirmation.ending(switches=False).converged
-    assert (
-        f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
-        in confirmation.still_owed(1e-3)
-    )
+    said = f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
+    assert said in confirmation.still_owed(1e-3)

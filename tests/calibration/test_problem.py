@@ -1,4 +1,4 @@
-"""Residuals and errors: signs, weights, failures, and what cannot be compared."""
+"""Residuals and errors: signs, failures, and what cannot be compared."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems_for_tests import TRUE_RC, TwoOutputs, problem_on, rc_problem
+from problems_for_tests import TRUE_RC, Waves, rc_problem
 from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
@@ -48,13 +48,6 @@ def test_a_failed_row_is_infinitely_wrong_and_says_why() -> None:
     assert np.isnan(evaluation.residuals[1]).all()
 
 
-def test_several_outputs_are_weighted_by_their_uncertainty() -> None:
-    problem = problem_on(TwoOutputs(), np.zeros(2), uncertainty=np.array([0.5, 50.0]))
-    np.testing.assert_allclose(problem.measurement.scales, [1.0, 0.01])
-    fine, coarse = problem.residuals(np.array([0.8, 0.7])).reshape(5, 2).T
-    np.testing.assert_allclose(fine, coarse)
-
-
 class TooLarge(WrappedModel):
     """A model whose values are finite, and their squares not."""
 
@@ -73,7 +66,7 @@ def test_values_too_large_to_square_are_a_failure_with_words() -> None:
 
 def test_another_model_with_other_parameters_is_refused() -> None:
     with pytest.raises(InputError, match="do not share parameters"):
-        rc_problem().on(TwoOutputs())
+        rc_problem().on(Waves())
 
 
 def _measurement(**changes: object) -> Measurement:

@@ -1,10 +1,10 @@
 """Robust losses: gross outliers in a recording, and what they do to calibrated parameters."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from moving_for_tests import FMUS, watched_case, with_equations
 from problems_for_tests import rc_problem
 from scipy.optimize import least_squares
 
@@ -13,15 +13,12 @@ from simulation.case import Case, load_case
 from simulation.measurement import Measurement
 from simulation.robust_loss import LossKind, RobustLoss
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.polish import LeastSquaresTRF
-from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
 from studies.uncertainty.identifiability import judged_slopes
 from studies.uncertainty.noise import noise_of
 
-WALL = Path(__file__).parents[2] / "fmus" / "wall"
+WALL = FMUS / "wall"
 OUTLIERS, SIZE = 0.05, 40.0
 """Share of samples that are wrong, and by how many standard uncertainties."""
 # Normal: 90 % of the probability lies within so many standard deviations.
@@ -35,7 +32,7 @@ def wall() -> Case:
 
 @pytest.fixture(scope="module")
 def clean(wall: Case) -> AdaptiveResult:
-    return calibrated(wall, wall.measurement)
+    return calibrated(wall.measurement)
 
 
 def with_outliers(measurement: Measurement, seed: int) -> Measurement:
@@ -48,12 +45,11 @@ def with_outliers(measurement: Measurement, seed: int) -> Measurement:
     return replace(measurement, samples=tuple(samples))
 
 
-def calibrated(case: Case, measurement: Measurement) -> AdaptiveResult:
-    with watching_states(case).open_model() as model:
-        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), measurement)
+def calibrated(measurement: Measurement) -> AdaptiveResult:
+    with watched_case(WALL) as (_, problem):
         # Without a threshold, squares too are minimized within five calls.
-        search = Adaptive(max_calls=5, misfit_threshold=np.inf)
-        found = search.minimize(problem, seed=0, learned_ode=LearnedODE.of(problem))
+        problem = replace(problem, measurement=measurement)
+        found, _ = with_equations(problem, max_calls=5, misfit_threshold=np.inf)
     assert found.converged
     return found
 
@@ -71,7 +67,7 @@ def test_outliers_move_parameters_by_less_than_half_their_interval_where_squares
 ) -> None:
     wrong, widths = with_outliers(wall.measurement, seed), half_width(wall, wall.measurement, clean)
     robust = replace(wrong, losses=tuple(RobustLoss(kind, 2.0 * one) for one in wrong.uncertainty.tolist()))
-    found, by_squares = calibrated(wall, robust), calibrated(wall, wrong)
+    found, by_squares = calibrated(robust), calibrated(wrong)
     assert (np.abs(found.u - clean.u) < widths).all()
     assert (np.abs(by_squares.u - clean.u) > widths).any()
     # What is said of its certainty does not suffer from the outliers either.

@@ -11,6 +11,7 @@ from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from studies.calibration.adaptive import Adaptive
+from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.row_choice import N_BEST, N_FAR, SAME_ROW, best_and_far
 
@@ -32,7 +33,7 @@ def rows_of(problem: CalibrationProblem, seed: int) -> FloatArray:
     return problem.space.to_unit(diary.rows)
 
 
-def evaluated(problem: CalibrationProblem, n: int, seed: int = 0) -> Evaluation:
+def evaluated(problem: CalibrationProblem, n: int, seed: int | list[int] = 0) -> Evaluation:
     return problem.evaluate(np.random.default_rng(seed).random((n, problem.space.n_parameters)))
 
 
@@ -40,14 +41,13 @@ def test_a_calibration_to_changed_data_costs_a_few_calls() -> None:
     seed = 0
     problem = rc_problem(noise=0.05)
     other = with_other_data(problem)
-    anew = SHORT.minimize(other, seed=seed)
-    best = anew.mse
+    target = 1.02 * LeastSquaresTRF().minimize(other, other.space.to_unit(TRUE_RC)).mse
+    anew = replace(SHORT, target_mse=target).minimize(other, seed=seed)
     known = other.evaluate(rows_of(problem, seed))
-    warm = Adaptive(max_calls=3, target_mse=1.02 * best).minimize(other, seed=seed, known=known)
-    from_nothing = anew.history.calls_to(1.02 * best)
-    assert from_nothing is not None
+    warm = Adaptive(max_calls=3, target_mse=target).minimize(other, seed=seed, known=known)
+    assert anew.converged
     assert warm.converged
-    assert from_nothing > 3 * warm.n_calls
+    assert anew.n_calls > 3 * warm.n_calls
 
 
 def test_a_warm_start_costs_no_calls_and_the_first_entry_of_the_history() -> None:
@@ -105,17 +105,13 @@ def test_the_best_rows_come_first_then_the_farthest_and_none_twice() -> None:
     assert gaps.min() > SAME_ROW
 
 
-def test_what_the_model_denies_is_not_asked_again_and_again() -> None:
-    # All over the box an oscillator's rows pass for noise, and with them those beside the best one.
+def test_what_was_asked_beside_many_known_rows_is_believed() -> None:
+    # All over the box an oscillator's rows pass for noise; were those beside the best one to, too, the least
+    # error of these three would be ten times that of the known ones.
     case = load_case(REPOSITORY / "fmus" / "vanderpol" / "case.toml")
     with case.open_model() as model:
         problem = CalibrationProblem(model, case.measurement)
-        training = problem.evaluate(np.random.default_rng([3, 2]).random((256, 4)))
+        training = evaluated(problem, 256, [3, 2])
         known = problem.evaluate(training.u[best_and_far(training.u, -training.objective)])
-        diary = Diary(model)
-        Adaptive(max_calls=7).minimize(problem.on(diary), seed=3, known=known)
-        asked = problem.evaluate(problem.space.to_unit(diary.rows))
-    near = np.abs(asked.u[:, None] - asked.u).max(axis=2) + np.tri(asked.n) < 0.01
-    again = near.any(axis=0) & (asked.mse > 5.0 * min(asked.mse.min(), known.mse.min()))
-    assert again.sum() <= 1
-    assert asked.mse.min() < 0.5 * known.mse.min()
+        found = Adaptive(max_calls=3).minimize(problem, seed=3, known=known)
+    assert found.mse < 0.5 * known.mse.min()

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from moving_for_tests import Moving, box
+from moving_for_tests import Moving, box, measured, with_equations
 
 from simulation.arrays import FloatArray
-from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.learned_ode import LearnedODE
-from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import Sum, Term
 from studies.calibration.states import WatchedModel
@@ -71,31 +68,21 @@ TERMS = {
 }
 
 
-def measured(model: Moving, u: FloatArray, noise: float) -> CalibrationProblem:
-    """Pose the problem whose truth is at u."""
-    watched = WatchedModel(model, model.signals)
-    y = watched.simulate(model.parameter_space.from_unit(u[None])).y[0]
-    y = y + noise * np.random.default_rng(0).standard_normal(y.shape)
-    measurement = Measurement.on_grid(model.time, y, ("y0",), np.array([noise]))
-    return CalibrationProblem(watched, measurement)
-
-
 @pytest.mark.parametrize("name", TERMS)
 def test_functions_are_found_and_a_calibration_takes_five_calls(name: str) -> None:
     model = {"tanks": TANKS, "car": CAR, "pendulum": PENDULUM, "plate": PLATE}[name]
-    truth = np.full(model.parameter_space.n_parameters, 0.6)
-    problem = measured(model, truth, 0.01)
-    ode = LearnedODE.of(problem)
-    found = Adaptive(max_calls=20).minimize(problem, seed=0, learned_ode=ode)
+    truth = np.full((1, model.parameter_space.n_parameters), 0.6)
+    problem = measured(model, model.parameter_space.from_unit(truth)[0], 0.01)
+    found, ode = with_equations(problem, max_calls=20)
     assert ode.is_sure
     assert ode.model is not None
     equations = ode.model.equations
     assert isinstance(equations.flow, SteppedFlow)
     assert set(equations.structure.sums[0].terms) == TERMS[name]
     assert found.n_calls <= 6
-    assert found.mse <= 1.001 * problem.mse(truth[None])[0]
+    assert found.mse <= 1.001 * problem.mse(truth)[0]
     # The optimum's own simulation is one of few rows that they are learnt from; these are not.
-    theta = model.parameter_space.from_unit(np.random.default_rng(1).random((4, truth.size)))
+    theta = model.parameter_space.from_unit(np.random.default_rng(1).random((4, truth.shape[1])))
     expected = model.simulate(theta).y[..., :1]
     np.testing.assert_allclose(ode.model.simulate(theta).y, expected, rtol=0.0, atol=5e-3 * expected.std())
 
@@ -119,7 +106,7 @@ def test_a_point_is_solved_alike_whatever_it_is_solved_beside() -> None:
 
 
 def test_points_are_asked_where_either_state_goes_farthest() -> None:
-    problem = measured(TANKS, np.full(5, 0.6), 0.01)
+    problem = measured(TANKS, TANKS.parameter_space.from_unit(np.full((1, 5), 0.6))[0], 0.01)
     ode = LearnedODE.of(problem)
     design = 0.4 + 0.2 * np.random.default_rng(0).random((6, 5))
     ode.note(problem.evaluate(design))
@@ -161,18 +148,16 @@ HEATER = Moving(
 
 def test_forms_that_held_and_hold_no_more_are_given_up() -> None:
     """A heater that is never off at full power, as in no row before, moves by terms that are known."""
-    truth = HEATER.parameter_space.to_unit(np.array([100.0, 5e6, 1000.0, 1400.0]))
-    problem = measured(HEATER, truth, 0.15)
-    ode = LearnedODE.of(problem)
-    Adaptive(max_calls=10, misfit_threshold=0.09).minimize(problem, seed=0, learned_ode=ode)
+    problem = measured(HEATER, np.array([100.0, 5e6, 1000.0, 1400.0]), 0.15)
+    _, ode = with_equations(problem, max_calls=10, misfit_threshold=0.09)
     assert not ode.is_believed
     assert ode.without_effect == ()
 
 
 def test_a_form_that_no_row_has_shown_is_looked_for_before_equations_end_a_search() -> None:
     """Over a weir that lies high flows nothing; where nothing did, the equations know of none."""
-    truth = WEIR.parameter_space.to_unit(np.array([1.5, 0.006, 1.0, 0.01]))
-    problem = measured(WEIR, truth, 0.02)
+    theta = np.array([1.5, 0.006, 1.0, 0.01])
+    problem, truth = measured(WEIR, theta, 0.02), WEIR.parameter_space.to_unit(theta)
     ode = LearnedODE.of(problem)
     rows = np.random.default_rng(0).random((6, 4))
     rows[:, 2] = 0.8 + 0.2 * rows[:, 2]
@@ -186,6 +171,5 @@ def test_a_form_that_no_row_has_shown_is_looked_for_before_equations_end_a_searc
     assert points[1].tolist() == [*truth[:2], 1.0, 1.0]
     # Where the error is too large, and where an uncertain sensor might explain it.
     for threshold in (0.04**2, 1.0):
-        ode = LearnedODE.of(problem)
-        Adaptive(max_calls=10, misfit_threshold=threshold).minimize(problem, seed=0, learned_ode=ode)
+        _, ode = with_equations(problem, max_calls=10, misfit_threshold=threshold)
         assert not ode.is_believed

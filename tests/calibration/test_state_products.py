@@ -1,28 +1,19 @@
 """State equations with products: flows times temperatures, radiation, oscillations."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
-from moving_for_tests import Moving
+from moving_for_tests import FMUS, Moving, learnt, watched_case, with_equations
 
 from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.coefficient import Points
-from studies.calibration.first_design import latin_hypercube
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.product_forms import Products
-from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_terms import Sum, Term
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
-REPOSITORY = Path(__file__).parents[2]
 STEP_S, EVERY, N_STEPS = 300.0, 2, 160
 WATER = 4180.0
 SPACE = ParameterSpace(
@@ -66,20 +57,6 @@ def radiator(inputs: FloatArray, radiates: bool) -> Moving:
     )
 
 
-def learnt(model: Moving, n: int) -> StateEquations:
-    u = 0.1 + 0.8 * latin_hypercube(n, 5, np.random.default_rng(0))
-    watched = WatchedModel(model, model.signals)
-    rows = watched.seen(watched.simulate(SPACE.from_unit(u)).theta)
-    structure = Structure.of(model.signals, rows)
-    assert structure.misfit < LEARNT
-    found, _ = structure.fitted(model.signals, rows)
-    equations = StateEquations.learn(
-        model.signals, structure, Points.of(SPACE, u), rows.x, found, Products.of(SPACE)
-    )
-    assert isinstance(equations, StateEquations)
-    return equations
-
-
 @pytest.mark.parametrize(
     ("radiates", "n_levels", "kind"),
     [(False, 3, LinearFlow), (False, None, SteppedFlow), (True, 3, SteppedFlow)],
@@ -113,19 +90,18 @@ def test_reactions_in_a_stirred_tank_are_found() -> None:
         rate = k * c_a * c_b
         return [flow / v * (c_in - c_a) - rate, -2.0 * rate]
 
-    units = ("mol/m3", "mol/m3", "m3/s", "mol/m3")
-    model = Moving(space, units, 60.0, inputs, slope, lambda v, k: [300.0 + 0.0 * v, 800.0 + 0.0 * v])
-    signals = replace(model.signals, depends_on=(None, frozenset({"x0", "x1"})))
-    watched, u = WatchedModel(model, signals), latin_hypercube(4, 2, np.random.default_rng(0))
-    rows = watched.seen(watched.simulate(space.from_unit(u)).theta)
-    structure = Structure.of(signals, rows)
-    assert set(structure.sums[0].terms) == {Term(3, True, (2,)), Term(0, factors=(1,))}
-    assert structure.sums[1].terms == (Term(0, factors=(1,)),)
-    found, _ = structure.fitted(signals, rows)
-    equations = StateEquations.learn(
-        signals, structure, Points.of(space, u), rows.x, found, Products.of(space)
+    model = Moving(
+        space,
+        ("mol/m3", "mol/m3", "m3/s", "mol/m3"),
+        60.0,
+        inputs,
+        slope,
+        lambda v, k: [300.0 + 0.0 * v, 800.0 + 0.0 * v],
+        depends_on=(None, frozenset({"x0", "x1"})),
     )
-    assert isinstance(equations, StateEquations)
+    equations = learnt(model, 4)
+    assert set(equations.structure.sums[0].terms) == {Term(3, True, (2,)), Term(0, factors=(1,))}
+    assert equations.structure.sums[1].terms == (Term(0, factors=(1,)),)
     fresh = np.random.default_rng(1).random((3, 2))
     expected = model.simulate(space.from_unit(fresh)).y[..., :1]
     np.testing.assert_allclose(equations.outputs(Points.of(space, fresh)), expected, rtol=1e-3)
@@ -144,7 +120,7 @@ def test_what_moves_too_fast_is_left_alone() -> None:
 
 
 def test_a_learned_ode_needs_a_model_that_watches_its_states() -> None:
-    case = load_case(REPOSITORY / "fmus" / "wall")
+    case = load_case(FMUS / "wall")
     with case.open_model() as model:
         problem = CalibrationProblem(model, case.measurement)
         with pytest.raises(InputError, match="state equations need a WatchedModel"):
@@ -152,12 +128,8 @@ def test_a_learned_ode_needs_a_model_that_watches_its_states() -> None:
 
 
 def test_an_oscillator_is_calibrated_with_a_handful_of_calls() -> None:
-    case = load_case(REPOSITORY / "fmus" / "vanderpol")
-    with watching_states(case).open_model() as model:
-        watched = WatchedModel(model, StateSignals.of(case))
-        problem = CalibrationProblem(watched, case.measurement)
-        ode = LearnedODE.of(problem)
-        found = Adaptive(max_calls=30).minimize(problem, seed=3, learned_ode=ode)
+    with watched_case(FMUS / "vanderpol") as (_, problem):
+        found, ode = with_equations(problem, 3, max_calls=30)
     assert ode.is_believed
     assert found.n_calls <= 10
     assert found.mse < 1.005 * 0.02002

@@ -1,8 +1,7 @@
-"""A surrogate keeps the promises of a forward model, and its whole method works on a toy."""
+"""A surrogate keeps the promises of a forward model."""
 
 import numpy as np
 import pytest
-from problems_for_tests import TRUE_RC, rc_problem
 from toy_rc import ToyRC
 
 from pelsvae.config import SurrogateConfig
@@ -10,10 +9,6 @@ from pelsvae.training import fit
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
-from studies.calibration.polish import LeastSquaresTRF
-from studies.calibration.problem import CalibrationProblem
-from studies.calibration.screen import DifferentialEvolution
-from studies.calibration.two_phase import calibrate_two_phase
 from studies.surrogate_model import SurrogateModel
 
 
@@ -56,22 +51,3 @@ def test_a_surrogate_of_another_window_is_refused_in_one_line(surrogate_model: S
         InputError, match="predicts 25 times of 1 outputs, the case has 30 of 1; tune it again"
     ):
         longer.simulate(np.array([[1.0, 1e4]]))
-
-
-def test_the_papers_method_from_end_to_end(surrogate_model: SurrogateModel) -> None:
-    problem = rc_problem(noise=0.05)
-    result = calibrate_two_phase(
-        surrogate_model,
-        ToyRC(),
-        problem.measurement,
-        screening=DifferentialEvolution(maxiter=40),
-        polishing=LeastSquaresTRF(),
-        seed=0,
-        n_train=256,
-        n_validation=64,
-    )
-    np.testing.assert_allclose(result.polish.theta, TRUE_RC, rtol=0.02)
-    on_surrogate = CalibrationProblem(surrogate_model, problem.measurement)
-    assert on_surrogate.mse(result.screened.u)[0] == pytest.approx(result.mse_surrogate, rel=1e-3)
-    random_points = np.random.default_rng(0).random((20, 2))
-    assert result.screened.mse[0] < np.median(problem.mse(random_points))

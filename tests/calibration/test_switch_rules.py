@@ -4,19 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from moving_for_tests import FMUS, watched_case, with_equations
 
-from simulation import load_case
 from simulation.arrays import FloatArray
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.coefficient import Points
 from studies.calibration.learned_ode import LearnedODE
-from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import Sum, Term
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.states import StateSignals
 from studies.calibration.switch_positions import with_switches
 
-REPOSITORY = Path(__file__).parents[2]
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 STEP_S, N_STEPS = 1.0, 40
 PLAIN = StateSignals(
     states=("T",),
@@ -66,11 +63,8 @@ def test_a_switch_waits_since_its_last_change() -> None:
 
 
 def test_a_thermostat_is_solved_anywhere_in_the_box_and_takes_five_calls() -> None:
-    case = load_case(REPOSITORY / "fmus" / "thermostat")
-    with watching_states(case).open_model() as model:
-        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
-        ode = LearnedODE.of(problem)
-        found = Adaptive(max_calls=20).minimize(problem, seed=0, learned_ode=ode)
+    with watched_case(FMUS / "thermostat") as (case, problem):
+        found, ode = with_equations(problem, max_calls=20)
         assert ode.model is not None
         theta = case.parameter_space.from_unit(np.random.default_rng(1).random((8, 6)))
         solved, simulated = ode.model.simulate(theta), problem.model.simulate(theta)
@@ -78,14 +72,14 @@ def test_a_thermostat_is_solved_anywhere_in_the_box_and_takes_five_calls() -> No
     assert found.converged
     assert found.mse < 1.01 * case.references[0].mse
     np.testing.assert_allclose(solved.y, simulated.y, atol=1e-5)
+    # A point is solved the same alone and beside others.
+    np.testing.assert_array_equal(ode.model.simulate(theta[2:3]).y, solved.y[2:3])
 
 
 @pytest.mark.parametrize(("name", "n_rules", "n_rows"), [("heating_circuit", 4, 4), ("heat_pump", 2, 12)])
 def test_two_switches_and_a_shortest_time_are_learnt(name: str, n_rules: int, n_rows: int) -> None:
-    case = load_case(REPOSITORY / "tests" / "benchmarks" / "fewest_calls" / name)
-    u = np.random.default_rng(0).random((n_rows + 4, case.parameter_space.n_parameters))
-    with watching_states(case).open_model() as model:
-        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+    with watched_case(BENCHMARKS / "fewest_calls" / name) as (case, problem):
+        u = np.random.default_rng(0).random((n_rows + 4, case.parameter_space.n_parameters))
         ode = LearnedODE.of(problem)
         ode.note(problem.evaluate(u[:4]))
         if n_rows > 4:
@@ -96,16 +90,3 @@ def test_two_switches_and_a_shortest_time_are_learnt(name: str, n_rules: int, n_
         solved, simulated = ode.model.simulate(case.parameter_space.from_unit(u)), problem.evaluate(u)
     np.testing.assert_allclose(solved.y, simulated.y, atol=0.05)
     assert len(ode.model.equations.limits) == 2 * n_rules
-
-
-def test_points_are_solved_the_same_alone_and_beside_others() -> None:
-    case = load_case(REPOSITORY / "fmus" / "thermostat")
-    with watching_states(case).open_model() as model:
-        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
-        ode = LearnedODE.of(problem)
-        ode.note(problem.evaluate(np.random.default_rng(0).random((4, 6))))
-    assert ode.model is not None
-    points = Points.of(case.parameter_space, np.random.default_rng(1).random((5, 6)))
-    together = ode.model.equations.outputs(points)
-    alone = ode.model.equations.outputs(points.part(slice(2, 3)))
-    np.testing.assert_array_equal(together[2:3], alone)

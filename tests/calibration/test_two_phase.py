@@ -31,36 +31,32 @@ def calibrate(surrogate: ForwardModel, physical: ForwardModel, **changes: object
     )
 
 
-def test_every_row_asked_of_the_physical_model_is_in_the_ledger() -> None:
+def test_the_polish_repairs_what_the_surrogate_did_not_see_and_all_calls_are_in_the_ledger() -> None:
     diary = Diary(ToyRC())
     result = calibrate(WRONG, diary)
-    assert result.ledger.n_screen_checks == 1
-    assert result.ledger.n_screen_checks + result.ledger.n_polish == len(diary.rows)
-    assert result.ledger.total_paper == 32 + len(diary.rows)
-    assert result.ledger.total_calls == 672 + len(diary.rows)
+    ledger, polish, screened = result.ledger, result.polish, result.screened
+    assert ledger.n_screen_checks == 1
+    assert ledger.n_screen_checks + ledger.n_polish == len(diary.rows)
+    assert ledger.total_paper == 32 + len(diary.rows)
+    assert ledger.total_calls == 672 + len(diary.rows)
 
-
-def test_the_polish_repairs_what_the_surrogate_did_not_see() -> None:
-    result = calibrate(WRONG, ToyRC())
     problem = rc_problem(noise=0.05)
-    np.testing.assert_allclose(result.polish.theta, TRUE_RC, rtol=0.02)
-    assert result.polish.mse < 0.1 * result.screened.mse[0]
-    assert problem.mse(result.polish.u)[0] == pytest.approx(result.polish.mse)
-    assert problem.mse(result.screened.u)[0] == pytest.approx(result.screened.mse[0])
-    assert problem.on(WRONG).mse(result.screened.u)[0] == pytest.approx(result.mse_surrogate)
-    np.testing.assert_allclose(result.polish.y, ToyRC().simulate(result.polish.theta[None]).y[0])
-    np.testing.assert_allclose(result.screened.y[0], ToyRC().simulate(result.screened.theta).y[0])
+    np.testing.assert_allclose(polish.theta, TRUE_RC, rtol=0.02)
+    assert polish.mse < 0.1 * screened.mse[0]
+    assert problem.mse(polish.u)[0] == pytest.approx(polish.mse)
+    assert problem.mse(screened.u)[0] == pytest.approx(screened.mse[0])
+    assert problem.on(WRONG).mse(screened.u)[0] == pytest.approx(result.mse_surrogate)
+    np.testing.assert_allclose(polish.y, ToyRC().simulate(polish.theta[None]).y[0])
+    np.testing.assert_allclose(screened.y[0], ToyRC().simulate(screened.theta).y[0])
 
-
-def test_calls_to_a_target_include_training_and_the_screening_check() -> None:
-    result = calibrate(WRONG, ToyRC())
-    assert result.history.n_calls[0] == 33
-    assert result.history.best_mse[0] == result.screened.mse[0]
-    assert result.history.calls_to(result.screened.mse[0]) == 33
-    reached = result.history.calls_to(result.polish.mse)
+    # Calls to a target include training and the check of the screening.
+    history = result.history
+    assert (history.n_calls[0], history.best_mse[0]) == (33, screened.mse[0])
+    assert history.calls_to(screened.mse[0]) == 33
+    reached = history.calls_to(polish.mse)
     assert reached is not None
-    assert 33 < reached <= result.ledger.total_paper
-    assert result.history.calls_to(0.5 * result.polish.mse) is None
+    assert 33 < reached <= ledger.total_paper
+    assert history.calls_to(0.5 * polish.mse) is None
 
 
 def test_a_screened_point_that_fails_gives_way_to_another() -> None:

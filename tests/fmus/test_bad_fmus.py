@@ -37,7 +37,6 @@ TIMEOUT_S = 0.5
 REASONS = {
     "CRASH": r"^2 times: the FMU crashed its process \(SIGSEGV\)",
     "HANG": r"^did not answer within 0\.5 s and was stopped$",
-    "EXIT": r"^2 times: the FMU ended its process with exit code 3",
     "FATAL": r"Fatal.*the heap is broken",
     "ONCE": r"Error.*the valve is stuck",
 }

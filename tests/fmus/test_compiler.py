@@ -56,58 +56,36 @@ def test_runge_kutta_follows_a_nonlinear_model_also_where_it_is_stiff(build, tmp
     driver.close()
 
 
-HEAD = (
-    'model M "Test"\n  Real x(unit="1", start=0, fixed=true) "State";\n  output Real y(unit="1") "Output";\n'
-)
-WRONG_MODELS = {
-    "nonlinear loop": (HEAD + "equation\n  der(x) = -x;\n  y + y^3 = x;\nend M;", "nonlinear"),
-    "undetermined": (HEAD + "equation\n  der(x) = -x;\n  x = 1;\nend M;", "no equation determines"),
-}
-
-
 EVENTS = f"{RK4}events = true\n"
-WRONG_EVENTS = {
-    "reinit": ("when x > 1 then\n    reinit(x, 0);\n  end when;", EVENTS, "`variable = expression` alone"),
-    "if": ("y = if x > 1 then 1 else 0;", EVENTS, "if is not understood beside events"),
-    "not discrete": ("when x > 1 then\n    y = 1;\n  end when;", EVENTS, "declare it as discrete"),
-    "without events": ("when x > 1 then\n    y = 1;\n  end when;", RK4, "write events = true"),
-    "noEvent": ("y = noEvent(x);", EVENTS, r"noEvent\(\) is not understood"),
+HEAD = """
+model M "Test"
+  Real x(unit="1", start=0, fixed=true) "State";
+  output Real y(unit="1") "Output";
+equation
+  der(x) = 1;
+"""
+WHEN = "when x > 1 then\n"
+WRONG = {
+    "nonlinear loop": (f"{HEAD}y + y^3 = x;\nend M;", RK4, "nonlinear"),
+    "undetermined": (f"{HEAD}x = 1;\nend M;", RK4, "no equation determines"),
+    "reinit": (f"{HEAD}{WHEN}reinit(x, 0);\nend when;\nend M;", EVENTS, "`variable = expression` alone"),
+    "if": (f"{HEAD}y = if x > 1 then 1 else 0;\nend M;", EVENTS, "if is not understood beside events"),
+    "not discrete": (f"{HEAD}{WHEN}y = 1;\nend when;\nend M;", EVENTS, "declare it as discrete"),
+    "without events": (f"{HEAD}{WHEN}y = 1;\nend when;\nend M;", RK4, "write events = true"),
+    "noEvent": (f"{HEAD}y = noEvent(x);\nend M;", EVENTS, r"noEvent\(\) is not understood"),
+    "solver": (COOLING, 'model = "M"\nsolver = "euler"', "solver = 'euler': .* should be 'exact' or 'rk4'"),
+    "setting": (COOLING, 'model = "M"\nsubstep = 3', "substep = 3: Unexpected keyword"),
+    "not linear": (COOLING, 'model = "M"\nsolver = "exact"', "not affine"),
 }
 
 
-@pytest.mark.parametrize("name", WRONG_EVENTS)
-def test_events_that_are_not_understood_are_one_clear_line(build, name):
+@pytest.mark.parametrize("name", WRONG)
+def test_what_cannot_be_compiled_is_one_clear_line(build, name):
     from fmus.compiler.settings import CompileError
 
-    equation, settings, message = WRONG_EVENTS[name]
+    source, settings, message = WRONG[name]
     with pytest.raises(CompileError, match=message) as caught:
-        build(f"{HEAD}equation\n  der(x) = 1;\n  {equation}\nend M;", settings)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", WRONG_MODELS)
-def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
-    from fmus.compiler.settings import CompileError
-
-    source, message = WRONG_MODELS[name]
-    with pytest.raises(CompileError, match=message) as caught:
-        build(source, RK4)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ('model = "M"\nsolver = "euler"', "solver = 'euler': .* should be 'exact' or 'rk4'"),
-        ('model = "M"\nsubstep = 3', "substep = 3: Unexpected keyword"),
-        ('model = "M"\nsolver = "exact"', "not affine"),
-    ],
-)
-def test_a_wrong_build_file_is_one_clear_line(build, settings, message):
-    from fmus.compiler.settings import CompileError
-
-    with pytest.raises(CompileError, match=message) as caught:
-        build(COOLING, settings)
+        build(source, settings)
     assert "\n" not in str(caught.value)
 
 

@@ -1,4 +1,4 @@
-"""Eq. 3-7 term by term, against closed forms, torch.distributions and slow loops over rows and samples."""
+"""Eq. 3-7 term by term, against slow loops over rows and samples."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from rc_step_for_tests import SMALL
 
-from pelsvae.loss import kl_divergence, objective
-from pelsvae.network import PelsVae, latent_samples
+from pelsvae.loss import objective
+from pelsvae.network import PelsVae
 
 FLOAT64_TOL = 1e-12  # rounding of some hundred float64 operations on numbers near 1
 N_FEATURES, N_OUTPUTS, N_ROWS, N_SAMPLES = 3, 7, 5, 4
-gaussians = hnp.arrays(np.float64, (2, 3, 4), elements=st.floats(-20.0, 20.0))
 
 
 def network(seed: int = 0) -> PelsVae:
@@ -29,16 +25,6 @@ def batch() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     shapes = [(N_ROWS, N_OUTPUTS), (N_ROWS, N_FEATURES), (N_SAMPLES, N_ROWS, SMALL.n_latent)]
     x, theta, eps = (torch.randn(shape, generator=generator, dtype=torch.float64) for shape in shapes)
     return x, theta, eps
-
-
-@given(gaussians)
-@settings(deadline=None)
-def test_kl_equals_torch_distributions(moments: np.ndarray) -> None:
-    mean, log_variance = torch.from_numpy(moments)
-    q = torch.distributions.Normal(mean, torch.exp(0.5 * log_variance))
-    p = torch.distributions.Normal(torch.zeros_like(mean), torch.ones_like(mean))
-    expected = torch.distributions.kl_divergence(q, p).sum(dim=1).mean()
-    assert kl_divergence(mean, log_variance).item() == pytest.approx(expected.item(), rel=1e-10, abs=1e-10)
 
 
 def test_every_term_equals_its_slow_loop() -> None:
@@ -67,13 +53,6 @@ def test_every_term_equals_its_slow_loop() -> None:
     terms = objective(net, x, theta, eps=eps, beta=beta)
     np.testing.assert_allclose([t.item() for t in terms[1:]], totals, rtol=1e-10)
     assert terms.total.item() == pytest.approx(totals @ [1.0, beta, 1.0, 1.0], rel=1e-10)
-
-
-def test_averaging_before_the_last_layer_is_the_mean_of_decoded_samples() -> None:
-    net, (x, theta, eps) = network(), batch()
-    z = latent_samples(*net.encoder(x, theta), eps)
-    one_by_one = torch.stack([net.decoder(sample[None], theta) for sample in z]).mean(dim=0)
-    torch.testing.assert_close(net.decoder(z, theta), one_by_one, rtol=FLOAT64_TOL, atol=FLOAT64_TOL)
 
 
 def test_prediction_is_regressor_then_mean_of_samples() -> None:

@@ -14,7 +14,12 @@ SAME = 1e-6  # relative to the largest value of an output: inside, networks comp
 
 
 # A network with residual layers is asked in tests/end_to_end, where a page writes one.
-@pytest.mark.parametrize("config", [SMALL, PROCESSES.replace(n_members=2)], ids=["plain", "processes"])
+# What was hardly fitted is answered the same.
+@pytest.mark.parametrize(
+    "config",
+    [SMALL.replace(max_epochs=5), PROCESSES.replace(n_members=2, max_epochs=2)],
+    ids=["plain", "processes"],
+)
 def test_any_number_of_rows_is_answered_in_physical_units(config: SurrogateConfig) -> None:
     onnxruntime = pytest.importorskip("onnxruntime", reason="pip install -e '.[onnx]'")
     validation = rc_step(20, seed=2, n_outputs=2)

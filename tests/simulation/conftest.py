@@ -1,17 +1,11 @@
 """A tiny FMU with a closed form, compiled once per session, and a case around it."""
 
 import shutil
-import subprocess
-import zipfile
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
-
-REPOSITORY = Path(__file__).parents[2]
-
-DESCRIPTION = Path(__file__).with_name("decay.xml").read_text()
+from c_fmu_for_tests import write_fmu
 
 CASE = Path(__file__).with_name("decay.toml").read_text()
 
@@ -19,20 +13,9 @@ CASE = Path(__file__).with_name("decay.toml").read_text()
 @pytest.fixture(scope="session")
 def decay_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The FMU `decay`; parameter `mode` chooses how it fails (see decay.c)."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None or fmpy.platform != "linux64":
-        pytest.skip("needs a C compiler on Linux to build the FMU that fails in every way")
-    folder = tmp_path_factory.mktemp("decay")
-    library = folder / "decay.so"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    source = Path(__file__).parent / "decay.c"
-    subprocess.run(
-        [compiler, "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", library, source, "-lm"], check=True
-    )
-    with zipfile.ZipFile(folder / "decay.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", DESCRIPTION)
-        archive.write(library, "binaries/linux64/decay.so")
-    return folder / "decay.fmu"
+    source = Path(__file__).with_name("decay.c")
+    description = source.with_suffix(".xml").read_text()
+    return write_fmu(tmp_path_factory.mktemp("decay") / "decay.fmu", description, source)
 
 
 @pytest.fixture
@@ -56,22 +39,4 @@ def _write_case(decay_fmu: Path, folder: Path) -> Path:
     lines = ["time_s,T_degC,heating"]
     lines += [f"{t},{20 + np.sin(t / 1e4):.6f},{1e-3 * np.cos(t / 2e4):.9f}" for t in time]
     (folder / "data" / "recording.csv").write_text("\n".join(lines) + "\n")
-    return folder
-
-
-@pytest.fixture(scope="session")
-def office_folder() -> Path:
-    """The office's folder, once its FMU is built."""
-    folder = REPOSITORY / "fmus" / "office"
-    if not (folder / "Office.fmu").exists() or not (folder / "case.toml").exists():
-        pytest.skip("fmus/office is not built; see fmus/office/README.md")
-    return folder
-
-
-@pytest.fixture(scope="session")
-def office_recording() -> Path:
-    """The published recording of the real office."""
-    folder = REPOSITORY.parent / "shared" / "data" / "office_recording"
-    if not folder.exists():
-        pytest.skip("needs the published recording in ../shared/data/office_recording")
     return folder

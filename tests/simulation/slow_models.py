@@ -117,6 +117,15 @@ class DyingAtOpeningToy(SlowToy):
         return self
 
 
+def rows_of(n: int, n_bad: int = 0) -> np.ndarray:
+    """Return rows of which some, here and there, have an R that misbehaves."""
+    rng = np.random.default_rng(5)
+    rows = ToyRC().parameter_space.from_unit(rng.random((n, 2)))
+    rows[:, 0] = np.minimum(rows[:, 0], BAD_ABOVE_R)
+    rows[rng.choice(n, n_bad, replace=False), 0] = 4.5
+    return rows
+
+
 def count_begun(file: Path) -> dict[str, int]:
     """Return how often each row was begun, by the bytes of its parameters."""
     counts: dict[str, int] = {}

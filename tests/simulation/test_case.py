@@ -1,12 +1,11 @@
-"""Cases: what a good one holds, and the real office through the whole chain."""
+"""Cases: what a good one holds, and what its digests see."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from simulation import Case, InputError, PoolModel, load_case
+from simulation import InputError, load_case
 
 
 def test_a_case_holds_what_its_file_says(decay_case: Path):
@@ -107,33 +106,3 @@ def test_a_sum_of_columns_is_interpolated_then_summed_then_converted(decay_case:
     (decay_case / "case.toml").write_text(text.replace('column = "heating"', 'column = "T_degC"'))
     warmth = load_case(decay_case).scenario.inputs
     np.testing.assert_allclose(single.scenario.inputs, 2.0 * heating + 0.5 * warmth, rtol=1e-12)
-
-
-@pytest.fixture(scope="module")
-def office(office_folder: Path, office_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Case:
-    """The office's own case file on the published recording, days 0 to 10."""
-    folder = tmp_path_factory.mktemp("office")
-    shutil.copy(office_folder / "Office.fmu", folder)
-    lines = (office_folder / "case.toml").read_text().splitlines()
-    lines = [f'data = "{office_recording}"' if line.startswith("data =") else line for line in lines]
-    (folder / "case.toml").write_text("\n".join(lines))
-    return load_case(folder, window_d=(0, 10))
-
-
-@pytest.fixture(scope="module")
-def rows(office: Case) -> np.ndarray:
-    """Sixteen rows all over the box."""
-    draw = np.random.default_rng(0).random((16, office.parameter_space.n_parameters))
-    return office.parameter_space.from_unit(draw)
-
-
-def test_the_office_is_the_same_reused_fresh_and_spread_over_processes(office: Case, rows: np.ndarray):
-    with office.open_model() as model:
-        model.simulate(rows[::-1])
-        reused = model.simulate(rows)
-    for index in (0, 15):
-        with office.open_model() as model:
-            assert model.simulate(rows[[index]]).digest == reused.take([index]).digest
-    with PoolModel(office.make_model, 2) as parallel:
-        assert parallel.simulate(rows).digest == reused.digest
-        assert parallel.simulate(rows).digest == reused.digest

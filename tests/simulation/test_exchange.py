@@ -13,7 +13,7 @@ from simulation import FmuModel
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("exchange"), request.param, n_states=2)
+    return build(tmp_path_factory.mktemp("exchange"), request.param)
 
 
 def bounces(time: Any, restitution: float, slowest: float) -> tuple[Any, Any]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import kinds_fmu
 import numpy as np
 import pytest
+from case_for_tests import edit
 
 from simulation import InputError, load_case
 
@@ -25,12 +26,6 @@ def write_case(folder: Path, fmu: Path, *, output: str = "y") -> Path:
     lines += [f"{1800 * i},0.001,{'true' if i % 3 else 'false'},{i % 5 - 2},300" for i in range(26)]
     (folder / "recording.csv").write_text("\n".join(lines) + "\n")
     return path
-
-
-def edit(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
 
 
 def expected(k: np.ndarray, x: float) -> np.ndarray:
@@ -63,7 +58,7 @@ def test_switches_and_levels_follow_a_recording(fmu: Path, tmp_path: Path, outpu
 )
 def test_what_does_not_fit_is_one_line(fmu: Path, tmp_path: Path, old: str, new: str, message: str):
     path = write_case(tmp_path, fmu)
-    edit(path, old, new)
+    edit(tmp_path, (old, new))
     with pytest.raises(InputError, match=message) as caught:
         load_case(path)
     assert "\n" not in str(caught.value)

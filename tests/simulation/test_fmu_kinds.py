@@ -28,11 +28,6 @@ def test_folders_may_have_any_name(fmu: Path, tmp_path: Path, monkeypatch: pytes
         assert model.simulate(ROWS).failures == ("", "", "")
 
 
-@pytest.fixture(scope="module")
-def fmu_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=3)
-
-
 def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Path):
     settings = kinds_fmu.kinds_settings(fmu, fixed=FIXED)
     with settings.open() as model:
@@ -44,8 +39,9 @@ def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Pa
         np.testing.assert_allclose(y, expected, rtol=1e-13)
 
 
-def test_a_structural_parameter_is_set_in_its_own_mode(fmu_3: Path):
-    settings = kinds_fmu.kinds_settings(fmu_3, fixed={"size": 5})
+def test_a_structural_parameter_is_set_in_its_own_mode(tmp_path: Path):
+    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=3)
+    settings = kinds_fmu.kinds_settings(fmu, fixed={"size": 5})
     with settings.open() as model:
         y = model.simulate(ROWS).y[:, :, 0]
     expected = [kinds_fmu.closed_form(settings, *row) + 5 for row in ROWS]

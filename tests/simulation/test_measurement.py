@@ -194,21 +194,6 @@ def test_only_what_lies_beyond_a_limit_counts(is_alone: bool):
     assert len(measurement.output_of) == measurement.n_samples == rows.shape[1] * 2 + (-2 if is_alone else 4)
 
 
-@pytest.mark.parametrize("is_alone", [False, True])
-def test_limits_that_are_kept_change_no_error(is_alone: bool):
-    kept, rows = _limited(-1e3, 1e3, is_alone=is_alone), _rows(4, 2)
-    measured = [1] if is_alone else [0, 1]
-    plain = Measurement(
-        TIME,
-        tuple(kept.samples[k] for k in measured),
-        tuple(kept.output_names[k] for k in measured),
-        kept.uncertainty[measured] / kept.uncertainty[measured[0]] * kept.uncertainty[0],
-        kept.weights[measured],
-    )
-    factor = (kept.uncertainty[0] / kept.uncertainty[measured[0]]) ** 2
-    np.testing.assert_allclose(kept.mse(rows), factor * plain.mse(rows[:, :, measured]), rtol=1e-12)
-
-
 def test_limits_alone_are_no_target():
     both = _limited(18.0, 21.0, is_alone=True)
     with pytest.raises(ValueError, match="no output is measured"):

@@ -30,22 +30,14 @@ from slow_models import (
     RaisingToy,
     SlowToy,
     count_begun,
+    rows_of,
 )
 
 ROOT = Path(__file__).parents[2]
 
 
-def _rows(n: int, n_bad: int = 0) -> np.ndarray:
-    """Return rows of which some, here and there, have an R that misbehaves."""
-    rng = np.random.default_rng(5)
-    rows = ToyRC().parameter_space.from_unit(rng.random((n, 2)))
-    rows[:, 0] = np.minimum(rows[:, 0], BAD_ABOVE_R)
-    rows[rng.choice(n, n_bad, replace=False), 0] = 4.5
-    return rows
-
-
 def test_slow_rows_get_all_workers_and_bring_the_same_bits():
-    rows = _rows(40)
+    rows = rows_of(40)
     with PoolModel(SlowToy(row_s=0.05).open, 3) as model:
         answer = model.simulate(rows)
         assert model.n_processes == 3
@@ -55,7 +47,7 @@ def test_slow_rows_get_all_workers_and_bring_the_same_bits():
 def test_little_work_gets_one_worker():
     with PoolModel(SlowToy(row_s=0.0).open, 4) as model:
         for n in (1, 15, 200):
-            model.simulate(_rows(n))
+            model.simulate(rows_of(n))
         assert model.n_processes == 1
 
 
@@ -70,7 +62,7 @@ def test_what_cannot_work_is_refused():
         PoolModel(lambda: ToyRC()) as model,
         pytest.raises(RuntimeError, match=r"cannot be sent to worker processes .*; give a function"),
     ):
-        model.simulate(_rows(1))
+        model.simulate(rows_of(1))
 
 
 @pytest.mark.parametrize(
@@ -82,7 +74,7 @@ def test_what_cannot_work_is_refused():
     ids=["exits with 0", "out-of-memory"],
 )
 def test_exactly_the_bad_rows_fail(toy: SlowToy, reason: str):
-    rows = _rows(200, 3)
+    rows = rows_of(200, 3)
     with PoolModel(toy.open, 2, policy=ExecutionPolicy(timeout_s=0.4)) as model:
         answer = model.simulate(rows)
     bad = rows[:, 0] > BAD_ABOVE_R
@@ -92,13 +84,13 @@ def test_exactly_the_bad_rows_fail(toy: SlowToy, reason: str):
 
 
 def test_a_row_that_was_unlucky_once_is_good(tmp_path: Path):
-    rows = _rows(30, 3)
+    rows = rows_of(30, 3)
     with PoolModel(OnceCrashingToy(folder=tmp_path).open, 2) as model:
         assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
 
 
 def test_retries_are_the_policy_s(tmp_path: Path):
-    rows = _rows(6, 2)
+    rows = rows_of(6, 2)
     for retries, toy, n_times in ((0, CrashingToy, 1), (2, CrashingToy, 3), (2, HangingToy, 1)):
         begun = tmp_path / f"{retries}-{n_times}"
         policy = ExecutionPolicy(timeout_s=0.3, retries=retries)
@@ -126,7 +118,7 @@ def test_a_batch_that_mostly_fails_stops_and_says_why(tmp_path: Path):
 
 
 def test_one_licence_means_one_worker_and_one_warning(tmp_path: Path):
-    rows, warnings = _rows(80), []
+    rows, warnings = rows_of(80), []
     toy = PickyToy(licence=tmp_path / "licence")
     with PoolModel(toy.open, 3, on_warning=warnings.append) as model:
         assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
@@ -143,11 +135,11 @@ def test_one_licence_means_one_worker_and_one_warning(tmp_path: Path):
 )
 def test_a_model_that_cannot_be_opened_is_an_error_of_the_user(toy: SlowToy, line: str):
     with PoolModel(toy.open, 2) as model, pytest.raises(InputError, match=line):
-        model.simulate(_rows(3))
+        model.simulate(rows_of(3))
 
 
 def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
-    rows = _rows(20, 1)
+    rows = rows_of(20, 1)
     rows[0, 0] = 1.0  # nothing is stopped before a row has finished
     policy = ExecutionPolicy(least_limit_s=0.3)
     with PoolModel(HangingToy().open, 2, policy=policy) as model:
@@ -165,14 +157,14 @@ def test_a_forgotten_model_leaves_no_process():
     end_fork_servers()
     before = set(psutil.Process().children(recursive=True))
     model = PoolModel(SlowToy().open, 2)
-    model.simulate(_rows(20))
+    model.simulate(rows_of(20))
     (server,) = set(psutil.Process().children()) - before
     del model
     _, alive = psutil.wait_procs(server.children(recursive=True), timeout=5)
     assert not alive
     # It waits for the next model, and is all that does.
     with PoolModel(SlowToy().open, 2) as model:
-        model.simulate(_rows(3))
+        model.simulate(rows_of(3))
         assert set(psutil.Process().children()) - before == {server}
     end_fork_servers()
     assert not set(psutil.Process().children(recursive=True)) - before
@@ -205,11 +197,11 @@ def test_where_no_process_can_be_started_the_machine_is_in_the_way(
     (tmp_path / "sitecustomize.py").write_text(NO_ROOM.format(call=call, n=n, error=error))
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     with pytest.raises(MachineError, match=line), PoolModel(ToyRC, 1) as model:
-        model.simulate(_rows(1))
+        model.simulate(rows_of(1))
 
 
 def test_ctrl_c_ends_all_hands_over_what_is_finished_and_can_be_followed():
-    rows, here, sizes = _rows(400), threading.main_thread().ident, list[int]()
+    rows, here, sizes = rows_of(400), threading.main_thread().ident, list[int]()
     assert here is not None
     with PoolModel(SlowToy(row_s=0.02).open, 2) as model:
         for wait_s in (0.05, 3.0):  # while the first process starts, and in the middle

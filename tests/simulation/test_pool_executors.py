@@ -23,15 +23,7 @@ from simulation.pool.fork_server import end_fork_servers
 from studies.cli import main
 
 sys.path.insert(0, str(Path(__file__).parent))
-from slow_models import BAD_ABOVE_R, CrashingToy, HangingToy, PickyToy, RaisingToy, SlowToy
-
-
-def _rows(n: int, n_bad: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(7)
-    rows = ToyRC().parameter_space.from_unit(rng.random((n, 2)))
-    rows[:, 0] = np.minimum(rows[:, 0], BAD_ABOVE_R)
-    rows[rng.choice(n, n_bad, replace=False), 0] = 4.5
-    return rows
+from slow_models import BAD_ABOVE_R, CrashingToy, HangingToy, PickyToy, RaisingToy, SlowToy, rows_of
 
 
 def _spawning() -> ProcessPoolExecutor:
@@ -53,7 +45,7 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
 
 
 def test_the_same_bits_and_exactly_the_bad_rows_fail(executor: Executor):
-    rows = _rows(60, 4)
+    rows = rows_of(60, 4)
     policy = ExecutionPolicy(timeout_s=0.4)
     for toy in (CrashingToy(), HangingToy(row_s=0.002)):
         model = PoolModel(toy.open, 2, executor=executor, policy=policy)
@@ -65,9 +57,9 @@ def test_the_same_bits_and_exactly_the_bad_rows_fail(executor: Executor):
 
 def test_errors_of_the_user_come_through(executor: Executor):
     with pytest.raises(InputError, match=r"^picky\.fmu: there is no licence; ask for one$"):
-        PoolModel(PickyToy().open, 2, executor=executor).simulate(_rows(3))
+        PoolModel(PickyToy().open, 2, executor=executor).simulate(rows_of(3))
     with pytest.raises(TooManyFailuresError, match="ValueError: R is too large"):
-        PoolModel(RaisingToy().open, 2, executor=executor).simulate(_rows(40, 35))
+        PoolModel(RaisingToy().open, 2, executor=executor).simulate(rows_of(40, 35))
 
 
 @pytest.fixture(scope="module")

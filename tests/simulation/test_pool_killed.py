@@ -21,9 +21,9 @@ from simulation.store.store import SimulationStore
 
 HERE = Path(__file__).parent
 PATIENCE_S = 60.0
-N_ROWS, N_WORKERS = 500, 2
+N_ROWS, N_WORKERS = 375, 2
 # Few enough that no row is lost with its process so often that it fails.
-KILLS = ("master", "worker") * 4
+KILLS = ("master", "worker") * 3
 # A chunk of 0.05 s, and one row more.
 N_CHUNK = 7
 

@@ -21,13 +21,6 @@ from simulation.whole_file import whole_file
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
 
-def test_every_row_asked_for_is_counted_also_the_failed_ones():
-    model = CountingModel(ToyRC())
-    model.simulate(ROWS)
-    model.simulate(ROWS[:1])
-    assert model.n_calls == 4
-
-
 def test_a_batch_beyond_the_budget_is_refused_whole_and_not_counted():
     inner = CountingModel(ToyRC())
     model = CountingModel(inner, budget=4)

@@ -141,7 +141,6 @@ WRONG: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize("mistake", WRONG)
 def test_a_mistake_is_one_line(decay_case: Path, mistake: str):
-    load_case(decay_case)
     change, message = WRONG[mistake]
     change(decay_case)
     with pytest.raises(InputError, match=message) as caught:

@@ -1,14 +1,10 @@
 """Build FMUs that misbehave (bad.c) and say what each must answer; needs tests/fmus/bad on sys.path."""
 
-import shutil
-import subprocess
-import zipfile
 from collections import Counter
 from pathlib import Path
 
-import fmpy
 import numpy as np
-import pytest
+from c_fmu_for_tests import write_fmu
 
 SOURCE = Path(__file__).with_name("bad.c")
 # Those that go wrong where `trouble` exceeds BAD_ABOVE; all others of bad.c always do.
@@ -18,29 +14,16 @@ BASE_K = 290.0
 PARAMETERS = ("k", "x0", "trouble")
 COUNT_VARIABLE = "BAD_FMU_COUNT"
 
-DESCRIPTION = SOURCE.with_name("bad.xml").read_text()
-
 
 def build_bad_fmu(behaviour: str, folder: Path) -> Path:
     """Compile one FMU, FMI 2.0 co-simulation; skips the test where there is no C compiler.
 
     ``behaviour`` is GOOD or another name of bad.c.
     """
-    compiler = shutil.which("gcc")
-    if compiler is None or fmpy.platform != "linux64":
-        pytest.skip("needs gcc on Linux to build the bad FMUs")
-    library = folder / f"{behaviour}.so"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    define = f"-DBEHAVIOUR={behaviour}"
-    flags = ["-std=gnu99", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-fno-builtin-memset"]
-    subprocess.run([compiler, *flags, define, f"-I{headers}", "-o", library, SOURCE, "-lm"], check=True)
+    flags = ["-std=gnu99", "-Wall", "-Wextra", "-Werror", "-fno-builtin-memset", f"-DBEHAVIOUR={behaviour}"]
     once = ' canBeInstantiatedOnlyOncePerProcess="true"' if behaviour == "ONCE" else ""
-    fmu = folder / f"{behaviour}.fmu"
-    with zipfile.ZipFile(fmu, "w") as archive:
-        archive.writestr("modelDescription.xml", DESCRIPTION.format(once=once))
-        archive.write(library, "binaries/linux64/bad.so")
-    library.unlink()
-    return fmu
+    description = SOURCE.with_suffix(".xml").read_text().format(once=once)
+    return write_fmu(folder / f"{behaviour}.fmu", description, SOURCE, *flags)
 
 
 def make_theta(n: int, bad_rows: list[int], seed: int = 0) -> np.ndarray:
