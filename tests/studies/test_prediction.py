@@ -116,11 +116,3 @@ def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, text: str, mes
     (tmp_path / "other.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         settings_with_inputs(load_case(ROOT / "fmus" / "wall"), tmp_path / "other.csv")
-
-
-def test_a_case_without_a_calibration_says_what_to_type(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["predict", "wall", "--inputs", str(INPUTS)]) == 2
-    assert "type: studies calibrate wall" in capsys.readouterr().err
