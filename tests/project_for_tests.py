@@ -55,7 +55,7 @@ class Answer:
 Run = Callable[..., Answer]
 
 
-def make_calibrated_wall(root: Path, *options: str) -> Path:
+def make_calibrated_wall(root: Path, *options: str) -> None:
     """Make a project with a wall and calibrate it with some options, quietly, in one process."""
     from studies.cli import main
 
@@ -63,7 +63,6 @@ def make_calibrated_wall(root: Path, *options: str) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
         assert main(["calibrate", "wall", "--jobs", "1", "-q", *options]) == 0
-    return root
 
 
 def add_case(root: Path, name: str = "wall") -> Path:
@@ -72,6 +71,16 @@ def add_case(root: Path, name: str = "wall") -> Path:
         ignore = shutil.ignore_patterns("generated")
         shutil.copytree(REPOSITORY / room / name, root / room / name, ignore=ignore)
     return root / "fmus" / name / "case.toml"
+
+
+def edit(file: Path, *pairs: tuple[str, str]) -> Path:
+    """Put new texts in the place of the first of old ones in a file; return it."""
+    text = file.read_text(encoding="utf-8")
+    for old, new in pairs:
+        assert old in text, f"{old!r} is not in {file}"
+        text = text.replace(old, new, 1)
+    file.write_text(text, encoding="utf-8")
+    return file
 
 
 def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
@@ -88,6 +97,16 @@ def stored_simulations(project: Path, case: str = "office") -> dict[str, pandas.
         with closing(sqlite3.connect(file)) as database:
             found[file.name] = pandas.read_sql("select * from simulations", database)
     return found
+
+
+def stored_result(
+    project: Path, stage: str = "calibrate-adaptive", label: str = "wall-quick"
+) -> dict[str, Any]:
+    """Return what a stage found, without how many rows were simulated: that depends on what is stored."""
+    file = project / "mlruns" / "results" / label / f"{stage}.json"
+    content = json.loads(file.read_text(encoding="utf-8"))["result"]
+    assert isinstance(content, dict)
+    return {name: value for name, value in content.items() if name != "n_simulated"}
 
 
 def make_project(root: Path, *, with_store: bool = True) -> Path:

@@ -4,31 +4,22 @@ import csv
 import re
 from pathlib import Path
 
-import pytest
-from project_for_tests import Run, add_case, make_project
+from project_for_tests import Run, add_case
 
 WALL = ("calibrate", "wall", "--jobs", "1", "--max-calls", "5")
 PLAIN = "(?<!R)MSE"
 
 
-@pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project with a wall whose masonry has one wrong sample, 30 K off on day 2."""
-    root = make_project(tmp_path / "project")
-    add_case(root)
-    monkeypatch.chdir(root)
-    file = root / "data" / "wall" / "measured.csv"
+def test_results_are_named_mean_losses_and_outliers_are_counted(project: Path, studies: Run) -> None:
+    case = add_case(project)
+    # The masonry has one wrong sample, 30 K off on day 2.
+    file = project / "data" / "wall" / "measured.csv"
     with file.open(newline="") as stream:
         rows = list(csv.reader(stream))
     (wrong,) = [row for row in rows[1:] if row[1] and float(row[0]) >= 172_800.0][:1]
     wrong[1] = f"{float(wrong[1]) + 30.0:.2f}"
     with file.open("w", newline="") as stream:
         csv.writer(stream).writerows(rows)
-    return root
-
-
-def test_results_are_named_mean_losses_and_outliers_are_counted(project: Path, studies: Run) -> None:
-    case = project / "fmus" / "wall" / "case.toml"
     text = case.read_text(encoding="utf-8")
     by_squares = studies(*WALL)
     assert "MSE " in by_squares.out

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bad_cases_for_tests import counted, make_bad_case
-from project_for_tests import Answer, Run
+from project_for_tests import Answer, Run, edit
 
 from simulation.case import load_case
 from simulation.case_reading import read_experiments
@@ -38,12 +38,6 @@ def finding(answer: Answer, what: str) -> dict[str, Any]:
     return found
 
 
-def edit(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert old in text
-    file.write_text(text.replace(old, new, 1), encoding="utf-8")
-
-
 def test_the_office_is_sound(project: Path, studies: Run) -> None:
     answer = studies("check", "--profile", "smoke", "--json")
     document = answer.document
@@ -60,7 +54,7 @@ def test_the_office_is_sound(project: Path, studies: Run) -> None:
 def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: Run) -> None:
     # Ventilation that never runs leaves its flow without effect.
     case = project / "fmus" / "office" / "case.toml"
-    edit(case, 'column = "RLTFlow"', "sum = { RLTFlow = 0.0 }")
+    edit(case, ('column = "RLTFlow"', "sum = { RLTFlow = 0.0 }"))
     answer = studies("check", "--profile", "smoke", "--json")
     (finding,) = [f for f in answer.document["findings"] if f["what"] == "every parameter moves an output"]
     assert answer.code == 1
@@ -77,8 +71,7 @@ def test_a_measurement_out_of_reach_is_worth_a_look(project: Path, studies: Run)
     recording.write_text("\n".join([lines[0], *warm]) + "\n", encoding="utf-8")
     edit(
         project / "fmus" / "office" / "case.toml",
-        'TAirInit = { first_measured = "TAir" }',
-        "TAirInit = 295.15",
+        ('TAirInit = { first_measured = "TAir" }', "TAirInit = 295.15"),
     )
     answer = studies("check", "--profile", "smoke", "--json")
     (finding,) = [f for f in answer.document["findings"] if f["what"] == "box covers the measurement"]
@@ -183,8 +176,8 @@ def test_what_the_doctor_simulates_is_kept(
 
 def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     file = project / "fmus" / "office" / "case.toml"
-    edit(file, 'column = "TEnv_degC"\nunit = "degC"', 'column = "TEnv_degC"\nunit = "K"')
-    edit(file, 'column = "FlowSupply"', "sum = { FlowSupply = 0.0 }")
+    kelvin = ('column = "TEnv_degC"\nunit = "degC"', 'column = "TEnv_degC"\nunit = "K"')
+    edit(file, kelvin, ('column = "FlowSupply"', "sum = { FlowSupply = 0.0 }"))
     found = {one.what: one for one in look_at_data(load_case(file))}
     assert found["units of the data"].level == "warn"
     assert "TAmb" in found["units of the data"].found
