@@ -21,6 +21,7 @@ from mlflow_store_for_tests import give_store
 REPOSITORY = Path(__file__).resolve().parents[1]
 OFFICE = REPOSITORY / "fmus" / "office"
 SMOKE_RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
+DAY = ("--window", "1-2")  # to say how sure it is takes a simulation's length of time
 LIMIT_S = 300.0
 AGAIN_S = 60.0  # then Ctrl-C is pressed again
 
@@ -71,6 +72,16 @@ def add_case(root: Path, name: str = "wall") -> Path:
         ignore = shutil.ignore_patterns("generated")
         shutil.copytree(REPOSITORY / room / name, root / room / name, ignore=ignore)
     return root / "fmus" / name / "case.toml"
+
+
+def make_judged_wall(root: Path) -> None:
+    """Make a project with a wall that was calibrated on a day and whose uncertainty is known."""
+    from studies.cli import main
+
+    make_calibrated_wall(root, *DAY)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(root)
+        assert main(["uncertainty", "wall", *DAY, "--max-calls", "30", "--jobs", "1", "-q"]) == 0
 
 
 def edit(file: Path, *pairs: tuple[str, str]) -> Path:

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import pandas
 import pytest
 from project_for_tests import Run, copy_of, stored_result
 
@@ -19,13 +20,9 @@ def project(wall_by_search: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def change_the_data(project: Path) -> None:
     """Say that the masonry's sensor showed a third of a kelvin too much."""
     file = project / "data" / "wall" / "measured.csv"
-    header, *lines = file.read_text(encoding="utf-8").splitlines()
-    column = header.split(",").index("TMasonry_degC")
-    rows = [line.split(",") for line in lines]
-    for row in rows:
-        if row[column]:
-            row[column] = f"{float(row[column]) - 0.3:.6f}"
-    file.write_text("\n".join([header, *map(",".join, rows), ""]), encoding="utf-8")
+    table = pandas.read_csv(file)
+    table["TMasonry_degC"] -= 0.3
+    table.to_csv(file, index=False)
 
 
 def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies: Run) -> None:

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from project_for_tests import REPOSITORY, Run, add_case, copy_of, make_project, stored_result
+from made_once import made_once
+from project_for_tests import (
+    DAY,
+    REPOSITORY,
+    Run,
+    add_case,
+    copy_of,
+    make_judged_wall,
+    make_project,
+    stored_result,
+)
 
 from studies.cli import main
 
@@ -117,12 +127,11 @@ def test_its_simulations_are_everybodys(
 
 
 def test_how_sure_it_is_takes_no_more_than_the_sample(
-    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    project = copy_of(made, tmp_path / "project", monkeypatch)
-    short = ("wall", "--jobs", "1", "--window", "1-2")
-    assert studies("calibrate", *short).code == 0
-    judge = ("uncertainty", *short, "--max-calls", "30")
+    judged = made_once(tmp_path_factory, "judged-wall", make_judged_wall)
+    project = copy_of(judged, tmp_path / "project", monkeypatch)
+    judge = ("uncertainty", "wall", *DAY, "--max-calls", "30", "--jobs", "1")
     answer = studies(*judge)
     assert answer.code == 0, answer.err
     found = stored_result(project, "uncertainty-adaptive", "wall-quick-d1-2")

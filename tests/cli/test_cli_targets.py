@@ -4,14 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from project_for_tests import Run, add_case, copy_of, edit
+from project_for_tests import DAY, Run, add_case, copy_of, edit
 from test_cli_experiments import with_experiments
 
 from simulation.case import load_case
 
 CALIBRATE = ("calibrate", "wall", "--jobs", "1", "--max-calls", "8")
-# To say how sure it is takes a simulation's length of time.
-SHORT = ("--window", "1-2", "--jobs", "1")
+SHORT = (*DAY, "--jobs", "1")
 WALL = Path("fmus", "wall", "case.toml")
 MASONRY, FLOW = "uncertainty = 0.05\n", "uncertainty = 2\n"
 PRIOR = 'name = "GIn"\n'
