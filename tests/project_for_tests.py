@@ -21,6 +21,7 @@ from mlflow_store_for_tests import give_store
 REPOSITORY = Path(__file__).resolve().parents[1]
 OFFICE = REPOSITORY / "fmus" / "office"
 SMOKE_RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
+DAY = ("--window", "1-2")  # to say how sure it is takes a simulation's length of time
 LIMIT_S = 300.0
 AGAIN_S = 60.0  # then Ctrl-C is pressed again
 
@@ -55,7 +56,7 @@ class Answer:
 Run = Callable[..., Answer]
 
 
-def make_calibrated_wall(root: Path, *options: str) -> Path:
+def make_calibrated_wall(root: Path, *options: str) -> None:
     """Make a project with a wall and calibrate it with some options, quietly, in one process."""
     from studies.cli import main
 
@@ -63,7 +64,6 @@ def make_calibrated_wall(root: Path, *options: str) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
         assert main(["calibrate", "wall", "--jobs", "1", "-q", *options]) == 0
-    return root
 
 
 def add_case(root: Path, name: str = "wall") -> Path:
@@ -72,6 +72,26 @@ def add_case(root: Path, name: str = "wall") -> Path:
         ignore = shutil.ignore_patterns("generated")
         shutil.copytree(REPOSITORY / room / name, root / room / name, ignore=ignore)
     return root / "fmus" / name / "case.toml"
+
+
+def make_judged_wall(root: Path) -> None:
+    """Make a project with a wall that was calibrated on a day and whose uncertainty is known."""
+    from studies.cli import main
+
+    make_calibrated_wall(root, *DAY)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(root)
+        assert main(["uncertainty", "wall", *DAY, "--max-calls", "30", "--jobs", "1", "-q"]) == 0
+
+
+def edit(file: Path, *pairs: tuple[str, str]) -> Path:
+    """Put new texts in the place of the first of old ones in a file; return it."""
+    text = file.read_text(encoding="utf-8")
+    for old, new in pairs:
+        assert old in text, f"{old!r} is not in {file}"
+        text = text.replace(old, new, 1)
+    file.write_text(text, encoding="utf-8")
+    return file
 
 
 def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
@@ -88,6 +108,16 @@ def stored_simulations(project: Path, case: str = "office") -> dict[str, pandas.
         with closing(sqlite3.connect(file)) as database:
             found[file.name] = pandas.read_sql("select * from simulations", database)
     return found
+
+
+def stored_result(
+    project: Path, stage: str = "calibrate-adaptive", label: str = "wall-quick"
+) -> dict[str, Any]:
+    """Return what a stage found, without how many rows were simulated: that depends on what is stored."""
+    file = project / "mlruns" / "results" / label / f"{stage}.json"
+    content = json.loads(file.read_text(encoding="utf-8"))["result"]
+    assert isinstance(content, dict)
+    return {name: value for name, value in content.items() if name != "n_simulated"}
 
 
 def make_project(root: Path, *, with_store: bool = True) -> Path:

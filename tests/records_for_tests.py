@@ -31,11 +31,12 @@ NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip
 UNITS = ("W/(m2.K)", "K", "m2.K/W", "J/(m2.K)", "1", "m2.K/W", "m2.K/W",
          "J/(m2.K)", "J/(m2.K)", "m2.K/W", "m2.K/W", "m3/s", "m2", "W/m2")  # fmt: skip
+N_POLISH = 124
 ESTIMATE = np.array([0.7, 301.15, 0.18, 182e3, 5, 1.06, 0.05, 8500, 7e5, 0.122, 0.183, 0.0111, 0.1, 12])
 
 
-def time_axis(n_steps: int = 480) -> np.ndarray:
-    return np.arange(n_steps) * 1800.0
+def time_axis() -> np.ndarray:
+    return np.arange(480) * 1800.0
 
 
 OUTPUTS = ("TAir", "TWall", "TSlab")
@@ -48,20 +49,20 @@ def office() -> Case:
     return load_case(Path(__file__).resolve().parents[1] / "fmus" / "office")
 
 
-def case(n_outputs: int = 1, n_steps: int = 480, p: int = 14) -> Case:
+def case(n_outputs: int = 1) -> Case:
     """Return the office with made-up outputs."""
-    measurement = measured(n_outputs, n_steps)
+    measurement = measured(n_outputs)
     output = office().outputs[0]
     return replace(
         office(), title="Office room, virtual measurement", measurement=measurement, references=REFERENCES,
         note="A virtual measurement: a white-box office was simulated, no building was measured.",
-        parameter_space=parameter_box(p),
+        parameter_space=parameter_box(),
         outputs=tuple(replace(output, name=name) for name in measurement.output_names),
     )  # fmt: skip
 
 
-def measured(n_outputs: int = 1, n_steps: int = 480) -> Measurement:
-    time = time_axis(n_steps)
+def measured(n_outputs: int = 1) -> Measurement:
+    time = time_axis()
     days = time / 86400.0
     y = np.stack(
         [
@@ -74,15 +75,13 @@ def measured(n_outputs: int = 1, n_steps: int = 480) -> Measurement:
     return Measurement.on_grid(time, y, OUTPUTS[:n_outputs], np.full(n_outputs, 0.5))
 
 
-def parameter_box(p: int = 14) -> ParameterSpace:
-    estimate = ESTIMATE[:p]
-    lower, upper = estimate / 5, estimate * 5
-    if p > 1:
-        lower[1], upper[1] = 293.15, 306.15
+def parameter_box() -> ParameterSpace:
+    lower, upper = ESTIMATE / 5, ESTIMATE * 5
+    lower[1], upper[1] = 293.15, 306.15
     return ParameterSpace(
         tuple(
-            Parameter(NAMES[j], lower[j], upper[j], estimate[j], UNITS[j], "linear" if j == 1 else "log")
-            for j in range(p)
+            Parameter(NAMES[j], lower[j], upper[j], ESTIMATE[j], UNITS[j], "linear" if j == 1 else "log")
+            for j in range(len(NAMES))
         )
     )
 
@@ -93,18 +92,16 @@ def outcome(found: Calibration) -> Outcome[Calibration]:
     return Outcome(f"calibrate-{name}", found, "0" * 64, wall_s=31.7)
 
 
-def calibration(
-    n_train: int = 64, *, n_outputs: int = 1, n_polish: int = 124, n_steps: int = 480
-) -> Calibration:
-    measurement, parameters = measured(n_outputs, n_steps), parameter_box()
+def calibration(n_train: int = 64, *, n_outputs: int = 1) -> Calibration:
+    measurement, parameters = measured(n_outputs), parameter_box()
     rng = np.random.default_rng(n_train)
     days = measurement.time[:, None] / 86400.0
     y_screened = measurement.y + 0.8 * np.cos(1.3 * days + 1) * np.exp(-n_train / 300) + 0.1
     y_polished = measurement.y + 0.1 * np.sin(5 * days) + rng.normal(0, 0.04, measurement.y.shape)
     mse_screened = float(np.mean((y_screened - measurement.y) ** 2))
     mse_polished = float(np.mean((y_polished - measurement.y) ** 2))
-    steps = np.arange(n_train + 1, n_train + 2 + n_polish)
-    progress = np.clip((steps - steps[0]) // 15 / (max(n_polish, 1) / 15), 0, 1) ** 0.4
+    steps = np.arange(n_train + 1, n_train + 2 + N_POLISH)
+    progress = np.clip((steps - steps[0]) // 15 / (N_POLISH / 15), 0, 1) ** 0.4
     history = np.exp((1 - progress) * np.log(mse_screened) + progress * np.log(mse_polished))
     span = parameters.upper - parameters.lower
     theta = parameters.lower + span * rng.uniform(0, 1, 14)
@@ -112,7 +109,7 @@ def calibration(
     polished[3], polished[5] = parameters.upper[3], parameters.lower[5]
     errors = {"test/mae": 6.0 / n_train**0.5, "test/p90": 11.0 / n_train**0.5}
     screening = Screened(named(theta), 0.0121 + 1e-5 * n_train, mse_screened, "small", errors=errors)
-    ledger = Ledger(n_train=n_train, n_validation=320, n_test=320, n_screen_checks=1, n_polish=n_polish)
+    ledger = Ledger(n_train=n_train, n_validation=320, n_test=320, n_screen_checks=1, n_polish=N_POLISH)
     return Calibration(
         case="office", method="paper", n_train=n_train, seed=0, settings={}, theta=named(polished),
         units=dict(zip(NAMES, UNITS, strict=True)), output_unit="degC", mse=mse_polished, converged=True,
@@ -158,10 +155,10 @@ def uncertainty() -> Uncertainty:
     )  # fmt: skip
 
 
-def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> np.ndarray:
+def coverage(n: int = 64, *, n_outputs: int = 1) -> np.ndarray:
     """Return trajectories of a training set. Shape (n, t, k)."""
     rng = np.random.default_rng(2)
-    days = time_axis(n_steps)[None, :, None] / 86400.0
+    days = time_axis()[None, :, None] / 86400.0
     level, swing, drift = (
         rng.uniform(14, 30, (n, 1, 1)),
         rng.uniform(0.1, 2, (n, 1, 1)),

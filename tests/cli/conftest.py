@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import pytest
+from made_once import made_once
 from mlflow_store_for_tests import give_store
-from project_for_tests import Answer, Run, make_project
+from project_for_tests import Answer, Run, make_calibrated_wall, make_project
 
 from studies.cli import main
 
@@ -35,3 +36,17 @@ def studies(capsys: pytest.CaptureFixture[str]) -> Run:
         return Answer(code, captured.out, captured.err)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def hasty_wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a wall that was hastily calibrated; to be copied."""
+    options = ("--max-calls", "8")
+    return made_once(tmp_path_factory, "hasty-wall", lambda root: make_calibrated_wall(root, *options))
+
+
+@pytest.fixture(scope="session")
+def wall_by_search(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a wall that was searched without state equations, not quite to the end; to be copied."""
+    options = ("--no-state-equations", "--max-calls", "18")
+    return made_once(tmp_path_factory, "wall-by-search", lambda root: make_calibrated_wall(root, *options))

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of
+from project_for_tests import REPOSITORY, Run, copy_of, process_environment
 
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of, main
 from studies.console import Column, Console
@@ -182,7 +182,7 @@ def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
         stdout=ours,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)},
+        env=process_environment(project),
         check=False,
     )
     os.close(ours)
@@ -204,13 +204,12 @@ def test_where_nothing_can_be_written_there_is_no_traceback(
 ) -> None:
     # The message names the folder.
     root = project.rename(project.with_name("Büro"))
-    unknown_signs = {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
         f"{shlex.quote(sys.executable)} -m studies status {how}",
         shell=True,
         capture_output=True,
         text=True,
-        env=os.environ | {"STUDIES_ROOT": str(root), "PYTHONPATH": str(REPOSITORY)} | unknown_signs,
+        env=process_environment(root) | {"PYTHONIOENCODING": "ascii"},
         check=False,
     )
     assert done.returncode == code

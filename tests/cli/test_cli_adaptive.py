@@ -1,59 +1,34 @@
 """`studies calibrate`: from the case alone, resumed after any call, refused in one line."""
 
-import json
 import re
 import shutil
 import signal
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-from project_for_tests import REPOSITORY, Run, add_case, copy_of, interrupt, make_project, stored_simulations
-
-from studies.cli import main
+from mlflow_store_for_tests import give_store
+from project_for_tests import Run, add_case, edit, interrupt, stored_result, stored_simulations
 
 BEST_KNOWN = 0.01052
-RECORDED = REPOSITORY / "data" / "office"
 N_BEFORE_THE_END = 3
+WALL = Path("fmus", "wall", "case.toml")
 N_SHORT = 12
 ADAPTIVE = ("calibrate", "office", "--jobs", "1")
 # Of the wall, which is calibrated faster; state equations would take half of these.
 SHORT = ("calibrate", "wall", "--jobs", "1", "--no-state-equations", "--max-calls", str(N_SHORT))
 
 
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with office, wall, the recording that the references belong to and an empty MLflow store."""
-    root = make_project(tmp_path_factory.mktemp("template") / "project")
-    add_case(root)
-    for file in RECORDED.glob("*.csv"):
-        shutil.copy(file, root / "data" / "office" / file.name)
-    return root
-
-
 @pytest.fixture
-def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    return copy_of(template, tmp_path / "project", monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short calibration without an interruption."""
-    root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(root)
-        assert main([*SHORT, "--quiet"]) == 0
-    assert n_stored(root, "wall") == N_SHORT
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project with office, wall, the recording that the references belong to and an empty MLflow store."""
+    root = tmp_path / "project"
+    for name in ("office", "wall"):
+        add_case(root, name)
+    (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
+    give_store(root)
+    monkeypatch.chdir(root)
     return root
-
-
-def results_of(project: Path) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
-    content = json.loads(file.read_text(encoding="utf-8"))["result"]
-    assert isinstance(content, dict)
-    # How many rows are simulated depends on what is stored.
-    return {name: value for name, value in content.items() if name != "n_simulated"}
 
 
 def n_stored(project: Path, case: str = "office") -> int:
@@ -95,8 +70,9 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
 
 
 def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
-    project: Path, studies: Run, undisturbed: Path
+    project: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    undisturbed = shutil.copytree(project, tmp_path / "undisturbed")
     words = (sys.executable, "-m", "studies", *SHORT)
     interrupt(words, project, signal.SIGKILL, lambda *_: n_stored(project, "wall") >= N_BEFORE_THE_END)
     n_before = n_stored(project, "wall")
@@ -104,7 +80,9 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
     resumed = studies(*SHORT, "--json").stage
     assert resumed["n_simulated"] == N_SHORT - n_before
     assert n_stored(project, "wall") == N_SHORT
-    assert results_of(undisturbed) == results_of(project)
+    monkeypatch.chdir(undisturbed)
+    assert studies(*SHORT).code == 0
+    assert stored_result(undisturbed) == stored_result(project)
 
 
 def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studies: Run) -> None:
@@ -118,40 +96,9 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--method", "adaptive", "--n-train", "64"), "--n-train belongs to --method paper"),
-        (("--method", "adaptive", "--max-calls", "4"), "does not hold the least of 5 simulations"),
-        (("--no-state-equations", "--max-calls", "13"), "does not hold the first design of 14 simulations"),
-        (("--parallel", "2", "--n-train", "64"), "--parallel belongs to --method adaptive"),
-        (("--method", "genetic"), "invalid choice: 'genetic'"),
-    ],
-)
-def test_what_does_not_go_together_is_one_line(
-    project: Path, studies: Run, arguments: tuple[str, ...], words: str
-) -> None:
-    answer = studies("calibrate", "office", *arguments)
-    assert answer.code == 2
-    (line,) = answer.err.splitlines()
-    assert line.startswith("studies: error: ")
-    assert words in line
-    assert not stored_simulations(project)
-
-
-def change_wall(project: Path, *changes: tuple[str, str]) -> None:
-    """Change the case file of the wall."""
-    case = project / "fmus" / "wall" / "case.toml"
-    text = case.read_text()
-    for old, new in changes:
-        assert text.count(old) == 1
-        text = text.replace(old, new)
-    case.write_text(text)
-
-
 def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
     precise = ("uncertainty = 0.05", "uncertainty = 0.01")
-    change_wall(project, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
+    edit(project / WALL, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
     lacks = "the model lacks something"
     unexamined = " ".join(studies("calibrate", "wall", "--jobs", "1", "--max-calls", "20").out.split())
     assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in unexamined
@@ -163,7 +110,7 @@ def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, s
 
 
 def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
-    change_wall(project, ("accepted = [-50, 100]", "accepted = [7, 22]"))
+    edit(project / WALL, ("accepted = [-50, 100]", "accepted = [7, 22]"))
     wall = ("calibrate", "wall", "--jobs", "2", "--max-calls", "12")
     answer = studies(*wall)
     assert answer.code == 0, answer.err

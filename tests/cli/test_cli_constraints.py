@@ -1,4 +1,4 @@
-"""Constraints, and another interface in one experiment, where a case is calibrated without a surrogate."""
+"""Constraints, where a case is calibrated without a surrogate."""
 
 from pathlib import Path
 
@@ -28,15 +28,3 @@ def test_no_row_of_a_search_or_a_sample_breaks_a_constraint(new_project: Path, s
         assert (rows["G23"] <= rows["G12"]).all(), command
         assert len(rows) > n_before, command
         n_before = len(rows)
-
-
-def test_an_experiment_may_be_driven_in_another_way(new_project: Path, studies: Run) -> None:
-    file = add_case(new_project)
-    text = file.read_text(encoding="utf-8")
-    text = text[: text.index("# Best")] if "# Best" in text else text[: text.index("[[references]]")]
-    for k, more in enumerate(("", 'interface = "model-exchange"\n')):
-        text += f'\n[[experiments]]\nname = "e{k}"\ntime = {{ window_d = [{2 * k}, {2 * k + 2}] }}\n{more}'
-    file.write_text("\n".join(line for line in text.splitlines() if "validation_d" not in line))
-
-    found = studies("calibrate", "wall", "--json").stage
-    assert found["mse"] < 0.05**2

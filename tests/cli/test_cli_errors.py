@@ -1,29 +1,18 @@
 """Wrong inputs: each one clear line, exit code 2, no traceback, nothing written."""
 
-import json
-import os
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 import pytest
-from project_for_tests import REPOSITORY, Answer, Run
+from project_for_tests import Answer, Run, edit
 
 from simulation.errors import InputError
 from studies.cli import is_interrupt
+from studies.profile import PROFILE_FOLDER
 from studies.stages.saved import read_arrays
 
 CASE = "fmus/office/case.toml"
 RECORDING = "data/office/recording_1800s.csv"
-SMALL_PROFILE = """\
-schema = 1
-name = "small"
-[data]
-n_train = [16, 32]
-[tuning]
-n_trials = 2
-"""
 
 
 def assert_refused(answer: Answer, *fragments: str) -> None:
@@ -47,12 +36,6 @@ def files_of(project: Path) -> dict[str, int]:
     return {str(file.relative_to(project)): file.stat().st_mtime_ns for file in project.rglob("*")}
 
 
-def edit(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert text.count(old) >= 1, f"{old!r} is not in {file}"
-    file.write_text(text.replace(old, new, 1), encoding="utf-8")
-
-
 # Every mistake that a case file or a recording can have: tests/simulation/test_wrong_inputs.py.
 @pytest.mark.parametrize(
     ("command", "file", "old", "new", "fragments"),
@@ -65,7 +48,7 @@ def edit(file: Path, old: str, new: str) -> None:
 def test_a_wrong_case_file_or_recording_is_refused(
     project: Path, studies: Run, command: str, file: str, old: str, new: str, fragments: list[str]
 ) -> None:
-    edit(project / file, old, new)
+    edit(project / file, (old, new))
     before = files_of(project)
     assert_refused(studies(command), *fragments)
     assert files_of(project) == before
@@ -105,6 +88,30 @@ def test_an_fmu_with_a_damaged_binary_is_refused(project: Path, studies: Run) ->
         pytest.param(
             ["calibrate", "--method", "paper"], ["no surrogate", "studies tune office"], id="nothing-tuned"
         ),
+        pytest.param(
+            ["calibrate", "--method", "adaptive", "--n-train", "64"],
+            ["--n-train belongs to --method paper"],
+            id="sizes-without-a-surrogate",
+        ),
+        pytest.param(
+            ["calibrate", "--max-calls", "4"],
+            ["does not hold the least of 5 simulations"],
+            id="too-few-calls",
+        ),
+        pytest.param(
+            ["calibrate", "--no-state-equations", "--max-calls", "13"],
+            ["does not hold the first design of 14 simulations"],
+            id="too-few-calls-for-the-design",
+        ),
+        pytest.param(
+            ["calibrate", "--parallel", "2", "--n-train", "64"],
+            ["--parallel belongs to --method adaptive"],
+            id="parallel-without-rounds",
+        ),
+        pytest.param(["calibrate", "--method", "genetic"], ["invalid choice: 'genetic'"], id="method"),
+        pytest.param(
+            ["predict", "--inputs", RECORDING], ["type: studies calibrate office"], id="nothing-to-predict"
+        ),
         pytest.param(["report"], ["no calibration", "studies calibrate office"], id="nothing-to-report"),
         pytest.param(["ui"], ["mlflow.db", "studies run"], id="no-store"),
         pytest.param(["frobnicate"], ["frobnicate"], id="command"),
@@ -120,51 +127,14 @@ def test_wrong_options_are_refused(
     assert files_of(project) == before
 
 
-# What a search space can have wrong: tests/tuning/test_search_space.py.
-@pytest.mark.parametrize(
-    ("old", "new", "fragments"),
-    [
-        pytest.param("n_trials = 2", "n_trails = 2", ["n_trails"], id="unknown-key"),
-        pytest.param(
-            "n_trials = 2",
-            "n_trials = 2\n[tuning.search]\nn_latent = [4, 8]",
-            ["tuning.search.n_latent"],
-            id="search-no-table",
-        ),
-        pytest.param(
-            "[data]", "[sensitivity]\nn_base = 100\n[data]", ["sensitivity", "power of two"], id="n-base"
-        ),
-    ],
-)
-def test_a_wrong_profile_is_refused(
-    project: Path, studies: Run, old: str, new: str, fragments: list[str]
-) -> None:
-    file = project / "small.toml"
-    file.write_text(SMALL_PROFILE.replace(old, new), encoding="utf-8")
-    assert_refused(studies("run", "--profile", str(file)), "small.toml", *fragments)
-
-
 def test_a_gpu_that_is_not_there_is_refused(project: Path, studies: Run) -> None:
     import torch
 
     if torch.cuda.is_available():
         pytest.skip("there is a CUDA device here")
-    file = project / "small.toml"
-    file.write_text(SMALL_PROFILE.replace("n_trials = 2", 'n_trials = 2\ndevice = "cuda"'), encoding="utf-8")
-    assert_refused(studies("tune", "--quiet", "--profile", str(file)), "tuning.device", "'auto' or 'cpu'")
-
-
-def test_a_process_of_its_own_answers_the_same(project: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "studies", "check", "ofice", "--json"],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
-        check=False,
-    )
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-    assert set(json.loads(done.stdout)) == {"error"}
+    profile = (PROFILE_FOLDER / "smoke.toml").read_text(encoding="utf-8")
+    (project / "cuda.toml").write_text(profile.replace("[tuning]", '[tuning]\ndevice = "cuda"'))
+    assert_refused(studies("tune", "--quiet", "--profile", "cuda.toml"), "tuning.device", "'auto' or 'cpu'")
 
 
 def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_once import made_once
-from project_for_tests import Run, add_case, copy_of, make_project, stored_simulations
+from project_for_tests import Run, add_case, copy_of, make_project, stored_result, stored_simulations
 
 from simulation.case import load_case
 from studies.cli import main
@@ -60,8 +60,7 @@ def project(calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_state_equations_of_both_experiments_find_what_each_alone_cannot(project: Path) -> None:
-    outcome = json.loads((project / "mlruns/results/wall-quick/calibrate-adaptive.json").read_text())
-    found = outcome["result"]
+    found = stored_result(project)
 
     # Equations from one experiment, a row of both; what is held out is simulated for estimates and result.
     assert found["state_equations"]["n_alone"] <= 5
@@ -143,6 +142,14 @@ def test_one_experiment_alone_is_the_same_as_its_window(tmp_path: Path) -> None:
         assert case.experiments[0].model_digest == plain.model_digest
         assert model.simulate(theta).digest == other.simulate(theta).digest
     np.testing.assert_array_equal(case.measurement.scales, plain.measurement.scales)
+
+
+def test_an_experiment_may_be_driven_in_another_way(new_project: Path, studies: Run) -> None:
+    first, second, _ = EXPERIMENTS.split("\n\n")
+    with_experiments(add_case(new_project), f'{first}\n\n{second}\ninterface = "model-exchange"\n')
+
+    found = studies("calibrate", "wall", "--json").stage
+    assert found["mse"] < 0.05**2
 
 
 @pytest.mark.parametrize(

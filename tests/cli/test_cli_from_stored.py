@@ -1,48 +1,28 @@
 """`studies calibrate --from-stored`: what was simulated before is not simulated for nothing."""
 
-import json
 import shutil
 from pathlib import Path
-from typing import Any
 
+import pandas
 import pytest
-from project_for_tests import Run, copy_of, make_calibrated_wall
+from project_for_tests import Run, copy_of, stored_result
 
 # With state equations there is nothing left to save.
 WALL = ("calibrate", "wall", "--jobs", "1", "--no-state-equations")
 N_BEFORE = 18
 
 
-@pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project in which the wall has been calibrated, not quite to the end."""
-    root = tmp_path_factory.mktemp("calibrated") / "project"
-    return make_calibrated_wall(root, "--no-state-equations", "--max-calls", str(N_BEFORE))
-
-
 @pytest.fixture
-def project(calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    return copy_of(calibrated, tmp_path / "project", monkeypatch)
-
-
-def results_of(project: Path) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
-    content = json.loads(file.read_text(encoding="utf-8"))["result"]
-    assert isinstance(content, dict)
-    # How many rows are simulated depends on what is stored.
-    return {name: value for name, value in content.items() if name != "n_simulated"}
+def project(wall_by_search: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return copy_of(wall_by_search, tmp_path / "project", monkeypatch)
 
 
 def change_the_data(project: Path) -> None:
     """Say that the masonry's sensor showed a third of a kelvin too much."""
     file = project / "data" / "wall" / "measured.csv"
-    header, *lines = file.read_text(encoding="utf-8").splitlines()
-    column = header.split(",").index("TMasonry_degC")
-    rows = [line.split(",") for line in lines]
-    for row in rows:
-        if row[column]:
-            row[column] = f"{float(row[column]) - 0.3:.6f}"
-    file.write_text("\n".join([header, *map(",".join, rows), ""]), encoding="utf-8")
+    table = pandas.read_csv(file)
+    table["TMasonry_degC"] -= 0.3
+    table.to_csv(file, index=False)
 
 
 def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies: Run) -> None:
@@ -51,7 +31,7 @@ def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies:
     assert answer.code == 0, answer.err
     assert f"begins with {N_BEFORE} stored simulations of this model" in answer.err
     assert f"after 6 model calls, begun with {N_BEFORE} stored simulations" in answer.out
-    found = results_of(project)
+    found = stored_result(project)
     assert found["n_warm_start"] == N_BEFORE
     assert found["ledger"]["total_paper"] == 6
     from_nothing = studies(*WALL, "--seed", "1", "--max-calls", str(N_BEFORE), "--json").stage
@@ -61,7 +41,7 @@ def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies:
 def test_it_goes_on_with_the_rows_that_it_began_with_and_again_with_all(project: Path, studies: Run) -> None:
     command = (*WALL, "--from-stored", "--max-calls", "4", "--json")
     first = studies(*command).stage
-    before = results_of(project)
+    before = stored_result(project)
     assert (first["n_warm_start"], first["n_simulated"]) == (N_BEFORE, 4)
     assert studies(*command).stage["finished_before"]
     # As after a kill in the last moment: rows and what it began with are there, its result is not.
@@ -69,7 +49,7 @@ def test_it_goes_on_with_the_rows_that_it_began_with_and_again_with_all(project:
         (project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json").unlink()
         resumed = studies(*typed).stage
         assert (resumed["n_warm_start"], resumed["n_simulated"]) == (N_BEFORE, 0)
-        assert results_of(project) == before
+        assert stored_result(project) == before
     # Another budget goes on: its first calls are those that were paid already.
     more = studies(*WALL, "--from-stored", "--max-calls", "6", "--json").stage
     assert (more["n_warm_start"], more["n_simulated"]) == (N_BEFORE, 2)
@@ -105,7 +85,7 @@ def test_where_nothing_is_stored_it_begins_with_nothing(project: Path, studies: 
     answer = studies(*WALL, "--from-stored", "--max-calls", "8")
     assert answer.code == 0, answer.err
     assert "no good simulation within the bounds is stored" in answer.err
-    assert results_of(project)["n_warm_start"] == 0
+    assert stored_result(project)["n_warm_start"] == 0
 
 
 def test_files_that_have_changed_since_are_named(project: Path, studies: Run) -> None:

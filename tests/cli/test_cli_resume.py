@@ -4,7 +4,6 @@ import json
 import shutil
 import signal
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -26,10 +25,6 @@ from studies.tuning.study_results import read_studies
 LABEL = "office-smoke"
 
 
-def said(words: str) -> Callable[[Path, str], bool]:
-    return lambda project, text: words in text
-
-
 def a_trial_has_ended(project: Path, text: str) -> bool:
     """Notice the first trial of the command, read as any program may: without a lock."""
     file = project / "mlruns" / "optuna.db"
@@ -41,14 +36,8 @@ def a_trial_has_ended(project: Path, text: str) -> bool:
     return bool(n)
 
 
-MOMENTS = {
-    "tune, after a trial": a_trial_has_ended,
-    "calibrate": said("calibrate-n0016: differential"),
-}
-
-
-BY_CTRL_C = ("tune, after a trial",)
-"""Moments of processes with workers; at the others a kill is the harder test."""
+def calibrates(project: Path, text: str) -> bool:
+    return "calibrate-n0016: differential" in text
 
 
 def results(project: Path) -> dict[str, Any]:
@@ -131,20 +120,20 @@ def test_an_interrupted_run_ends_the_same(
     (project / "mlruns" / "optuna.db").unlink()
     for file in (project / "mlruns" / "results" / LABEL).glob("calibrate-*"):
         file.unlink()
-    for moment, is_moment in MOMENTS.items():
-        how = signal.SIGINT if moment in BY_CTRL_C else signal.SIGKILL
+    # While workers tune, Ctrl-C is the harder test, and in a calibration a kill is.
+    for how, is_moment in ((signal.SIGINT, a_trial_has_ended), (signal.SIGKILL, calibrates)):
         before = finished_work(project)
         code, log = interrupt((*SMOKE_RUN[:-1], "1"), project, how, is_moment)
         if how is signal.SIGINT:
             # Both are 130 to a shell: CPython ends as killed by SIGINT where Ctrl-C came inside an exec().
-            assert code in (130, -signal.SIGINT), f"{moment}: {log}"
+            assert code in (130, -signal.SIGINT), log
             assert log.splitlines()[-1].startswith("studies: interrupted"), log
             assert "studies run --profile smoke --jobs 1" in log.splitlines()[-1]
             assert "Traceback" not in log
         else:
             assert code == -signal.SIGKILL
         after = finished_work(project)
-        assert {name: after.get(name) for name in before} == before, f"work was redone or lost at {moment}"
+        assert {name: after.get(name) for name in before} == before, f"work was redone or lost at {how.name}"
     before = finished_work(project)
     finish(project)
     after = finished_work(project)

@@ -3,11 +3,20 @@
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from project_for_tests import REPOSITORY, Run, add_case, copy_of, make_project
+from made_once import made_once
+from project_for_tests import (
+    DAY,
+    REPOSITORY,
+    Run,
+    add_case,
+    copy_of,
+    make_judged_wall,
+    make_project,
+    stored_result,
+)
 
 from studies.cli import main
 
@@ -34,17 +43,10 @@ def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return made
 
 
-def numbers_of(project: Path, name: str) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / f"{name}-quick" / "calibrate-adaptive.json"
-    content = json.loads(file.read_text(encoding="utf-8"))["result"]
-    assert isinstance(content, dict)
-    return content
-
-
 def test_it_goes_on_from_what_is_stored_and_says_what_the_equations_did(project: Path, studies: Run) -> None:
     answer = studies(*WALL)
     assert answer.code == 0, answer.err
-    found = numbers_of(project, "wall")
+    found = stored_result(project)
     n_calls, learnt = found["ledger"]["total_paper"], found["state_equations"]
     assert n_calls == 5
     assert "3 of 5 simulations reused" in answer.err
@@ -67,7 +69,7 @@ def test_weather_inside_the_fmu_takes_as_few_calls(project: Path, studies: Run) 
     shutil.copytree(inside, project / "fmus" / "wall-inside")
     answer = studies("calibrate", "wall-inside", "--jobs", "1")
     assert answer.code == 0, answer.err
-    found = numbers_of(project, "wall-inside")
+    found = stored_result(project, label="wall-inside-quick")
     equations = found["state_equations"]
     assert found["ledger"]["total_paper"] == 5
     assert equations["are_believed"]
@@ -87,7 +89,7 @@ def test_where_nothing_can_be_learnt_it_says_so(
     assert answer.code == 0, answer.err
     assert "State equations of 3 states: not learnt, for no sum of states, inputs" in answer.out
     assert "makes up der(T): the best leaves" in answer.out
-    assert not numbers_of(project, "thermostat")["state_equations"]["are_believed"]
+    assert not stored_result(project, label="thermostat-quick")["state_equations"]["are_believed"]
 
 
 def test_who_wants_them_is_learnt_why_there_are_none(
@@ -100,7 +102,7 @@ def test_who_wants_them_is_learnt_why_there_are_none(
     (line,) = answer.err.splitlines()
     assert line.endswith("Wall.fmu: has 3 states, and at most 2 are watched; leave --state-equations away")
     assert studies(*WALL, "--max-calls", "8").code == 0
-    assert "state_equations" not in numbers_of(project, "wall")
+    assert "state_equations" not in stored_result(project)
 
 
 def test_its_simulations_are_everybodys(
@@ -111,7 +113,7 @@ def test_its_simulations_are_everybodys(
     without = (*WALL, "--no-state-equations", "--max-calls", "10")
     # Four of the seven rows of its first design are among the five that were asked with their states.
     assert studies(*without, "--json").stage["n_simulated"] == 10 - 4
-    found = numbers_of(project, "wall")
+    found = stored_result(project)
     assert "state_equations" not in found
     # Six have no states, and teach the equations nothing.
     answer = studies(*WALL, "--from-stored", "--max-calls", "6")
@@ -120,28 +122,26 @@ def test_its_simulations_are_everybodys(
     assert f"begins with {len(known['start_theta'])} stored simulations of this model" in answer.err
     assert (~known["start_watched"]).sum() == 6
     assert known["start_watched"].sum() >= 5
-    assert numbers_of(project, "wall")["state_equations"]["are_believed"]
+    assert stored_result(project)["state_equations"]["are_believed"]
     assert studies("reproduce", "wall-quick/adaptive").code == 0
 
 
 def test_how_sure_it_is_takes_no_more_than_the_sample(
-    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    project = copy_of(made, tmp_path / "project", monkeypatch)
-    short = ("wall", "--jobs", "1", "--window", "1-2")
-    assert studies("calibrate", *short).code == 0
-    judge = ("uncertainty", *short, "--max-calls", "30")
+    judged = made_once(tmp_path_factory, "judged-wall", make_judged_wall)
+    project = copy_of(judged, tmp_path / "project", monkeypatch)
+    judge = ("uncertainty", "wall", *DAY, "--max-calls", "30", "--jobs", "1")
     answer = studies(*judge)
     assert answer.code == 0, answer.err
-    file = project / "mlruns" / "results" / "wall-quick-d1-2" / "uncertainty-adaptive.json"
-    found = json.loads(file.read_text(encoding="utf-8"))["result"]
+    found = stored_result(project, "uncertainty-adaptive", "wall-quick-d1-2")
     calls = found["ledger"]
     assert (calls["n_differences"], calls["n_taught"], calls["total"]) == (0, 0, 16)
     assert calls["by_equations"]
     assert found["sample"]["n_effective"] > 8
     learnt = " ".join(answer.out.split())
     assert "(16 model calls; the model's state equations gave the rest)" in learnt
-    again = studies(*judge, "--again")
+    again = studies(*judge, "--again", "--json")
     assert again.code == 0, again.err
-    repeated = json.loads(file.read_text(encoding="utf-8"))["result"]
-    assert repeated == found | {"n_simulated": 0}
+    assert again.document["stages"][0]["n_simulated"] == 0
+    assert stored_result(project, "uncertainty-adaptive", "wall-quick-d1-2") == found

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pandas
-from project_for_tests import Run, stored_simulations
+from project_for_tests import Run, edit, stored_simulations
 
 SIMULATE = ("simulate", "--profile", "smoke", "--json")
 
@@ -16,10 +16,8 @@ def rows_of(project: Path) -> pandas.DataFrame:
 
 def accept(project: Path, low: float, high: float) -> None:
     """Let simulations outside a band count as failed."""
-    case = project / "fmus" / "office" / "case.toml"
-    text = case.read_text()
-    assert text.count("uncertainty =") == 1
-    case.write_text(text.replace("uncertainty =", f"accepted = [{low}, {high}]\nuncertainty ="))
+    band = f"accepted = [{low}, {high}]\nuncertainty ="
+    edit(project / "fmus" / "office" / "case.toml", ("uncertainty =", band))
 
 
 def test_failed_simulations_are_asked_again_on_request_alone(project: Path, studies: Run) -> None:

@@ -4,44 +4,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_once import made_once
-from project_for_tests import Run, add_case, copy_of, make_calibrated_wall
+from project_for_tests import DAY, Run, add_case, copy_of, edit
 from test_cli_experiments import with_experiments
 
 from simulation.case import load_case
 
 CALIBRATE = ("calibrate", "wall", "--jobs", "1", "--max-calls", "8")
-# To say how sure it is takes a simulation's length of time.
-SHORT = ("--window", "1-2", "--jobs", "1")
+SHORT = (*DAY, "--jobs", "1")
+WALL = Path("fmus", "wall", "case.toml")
 MASONRY, FLOW = "uncertainty = 0.05\n", "uncertainty = 2\n"
-FLOW_MEASURED = 'file = "measured.csv"\ncolumn = "QRoom_W"\n'
-
-
-@pytest.fixture(scope="module")
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made_once(
-        tmp_path_factory, "targets", lambda root: make_calibrated_wall(root, "--max-calls", "8") and None
-    )
+PRIOR = 'name = "GIn"\n'
+BOTH = 'file = "measured.csv"\n'
+FLOW_MEASURED = f'{BOTH}column = "QRoom_W"\n'
 
 
 @pytest.fixture
-def project(calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    return copy_of(calibrated, tmp_path / "project", monkeypatch)
-
-
-def edit(project: Path, *pairs: tuple[str, str]) -> Path:
-    file = project / "fmus" / "wall" / "case.toml"
-    text = file.read_text(encoding="utf-8")
-    for old, new in pairs:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    file.write_text(text, encoding="utf-8")
-    return file
+def project(hasty_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return copy_of(hasty_wall, tmp_path / "project", monkeypatch)
 
 
 def test_normalized_errors_count_and_are_shown(project: Path, studies: Run) -> None:
     plain = studies(*CALIBRATE, "--json").stage
-    file = edit(project, *((key, f'{key}normalize = "range"\n') for key in (MASONRY, FLOW)))
+    file = edit(project / WALL, *((key, f'{key}normalize = "range"\n') for key in (MASONRY, FLOW)))
     found = studies(*CALIBRATE, "--json").stage
     case = load_case(file)
     series = [one.values for one in case.measurement.samples]
@@ -70,12 +54,12 @@ def test_only_what_lies_above_a_limit_counts(project: Path, studies: Run) -> Non
     limit = float(np.quantile(case.measurement.samples[1].values, 0.9))
     # Beside the measurement a limit pulls, alone it is all that is known of the heat flow.
     plain = studies(*CALIBRATE, "--json").stage["outputs"]["QRoom"]
-    file = edit(project, (FLOW, f"{FLOW}at_most = {limit:g}\n"))
+    file = edit(project / WALL, (FLOW, f"{FLOW}at_most = {limit:g}\n"))
     beside = studies(*CALIBRATE, "--json").stage["outputs"]["QRoom"]
     assert beside["largest_excess"] > 0.0
     assert beside["rmse"] > 1.01 * plain["rmse"]
     assert f"QRoom is outside its limits (at most {limit:.4g} W) for" in studies(*CALIBRATE).out
-    edit(project, (FLOW_MEASURED, ""))
+    edit(project / WALL, (FLOW_MEASURED, ""))
     alone = studies(*CALIBRATE, "--json").stage["outputs"]["QRoom"]
     assert alone["largest_excess"] < 0.1 * beside["largest_excess"]
     assert alone["nrmse"] is None
@@ -98,7 +82,7 @@ def test_correlated_errors_widen_the_intervals(project: Path, studies: Run) -> N
 
     is_correlated = False
     independent = widths()
-    edit(project, *((key, f"{key}correlation_time_s = 7200\n") for key in (MASONRY, FLOW)))
+    edit(project / WALL, *((key, f"{key}correlation_time_s = 7200\n") for key in (MASONRY, FLOW)))
     is_correlated = True
     # Samples 35 minutes apart have the correlation 0.75: of a constant, seven count as one.
     ratio = widths() / independent
@@ -109,7 +93,7 @@ def test_correlated_errors_widen_the_intervals(project: Path, studies: Run) -> N
 def test_experiments_have_scales_limits_and_correlations_of_their_own(new_project: Path) -> None:
     add_case(new_project)
     file = edit(
-        new_project,
+        new_project / WALL,
         (MASONRY, f'{MASONRY}normalize = "range"\ncorrelation_time_s = 7200\n'),
         (FLOW, f'{FLOW}normalize = "mean"\nat_most = 100.0\n'),
     )
@@ -142,22 +126,24 @@ def test_experiments_have_scales_limits_and_correlations_of_their_own(new_projec
         (FLOW, f'{FLOW}correlation_time_s = 60\nloss = "huber"\n', "beside a robust loss"),
         (FLOW, f"{FLOW}correlation_time = 60\n", "did you mean correlation_time_s?"),
         (f"{FLOW_MEASURED}{FLOW}", f"{FLOW}at_most = 9\ncorrelation_time_s = 60\n", "nothing is measured"),
+        (BOTH, f'{BOTH}normalize = "mean"\n', "the zero of a temperature is a convention"),
+        (PRIOR, f"{PRIOR}prior = {{ about = 75, within = 0.1 }}\n", "write within_factor"),
+        (PRIOR, f"{PRIOR}prior = {{ abut = 75, within_factor = 2 }}\n", "abut (did you mean about?)"),
+        (
+            PRIOR,
+            f"{PRIOR}prior = {{ about = 7500, within_factor = 2 }}\n",
+            "7500 lies outside the bounds",
+        ),
+        (PRIOR, f"{PRIOR}prior = {{ about = 75, within_factor = 0.5 }}\n", "0.5; give a number above 1"),
     ],
 )
 def test_what_is_wrong_is_one_line(old: str, new: str, message: str, new_project: Path, studies: Run) -> None:
-    add_case(new_project)
-    edit(new_project, (old, new))
+    file = add_case(new_project)
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
     answer = studies("check", "wall")
 
     assert answer.code == 2
     assert message in answer.err
     assert len(answer.err.strip().splitlines()) == 1
-
-
-def test_a_mean_temperature_normalizes_nothing(new_project: Path, studies: Run) -> None:
-    add_case(new_project)
-    edit(new_project, *((key, f'{key}normalize = "mean"\n') for key in (MASONRY, FLOW)))
-    answer = studies("check", "wall")
-
-    assert answer.code == 2
-    assert 'outputs[TMasonry]: normalize = "mean": the zero of a temperature is a convention' in answer.err

@@ -1,17 +1,15 @@
 """`studies uncertainty`: on the terminal and the page, resumed after any call, refused in one line."""
 
-import json
 import re
 import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from project_for_tests import Run, copy_of, make_calibrated_wall, stored_simulations
+from project_for_tests import Run, copy_of, stored_result, stored_simulations
 
 from simulation.case import load_case
 from studies.cli import main
@@ -25,25 +23,14 @@ from studies.stages.stage_results import Uncertainty
 from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
+JUDGED = "uncertainty-adaptive"
 N_DIFFERENCES = 14
-N_CALIBRATION = 24
 
 
 @pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a calibrated wall."""
-    return make_calibrated_wall(
-        tmp_path_factory.mktemp("template") / "project",
-        "--no-state-equations",
-        "--max-calls",
-        str(N_CALIBRATION),
-    )
-
-
-@pytest.fixture(scope="module")
-def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def undisturbed(wall_by_search: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same, judged without an interruption."""
-    root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
+    root = shutil.copytree(wall_by_search, tmp_path_factory.mktemp("undisturbed") / "project")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
         assert main([*JUDGE, "-q"]) == 0
@@ -51,16 +38,8 @@ def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 @pytest.fixture
-def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    return copy_of(template, tmp_path / "project", monkeypatch)
-
-
-def results_of(project: Path) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json"
-    content = json.loads(file.read_text(encoding="utf-8"))["result"]
-    assert isinstance(content, dict)
-    # How many rows are simulated depends on what is stored.
-    return {name: value for name, value in content.items() if name != "n_simulated"}
+def project(wall_by_search: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return copy_of(wall_by_search, tmp_path / "project", monkeypatch)
 
 
 def n_stored(project: Path) -> int:
@@ -68,11 +47,15 @@ def n_stored(project: Path) -> int:
 
 
 def test_it_says_how_sure_the_calibration_is(
-    template: Path, undisturbed: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    wall_by_search: Path,
+    undisturbed: Path,
+    studies: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     project = shutil.copytree(undisturbed, tmp_path / "project")
     monkeypatch.chdir(project)
-    n_before = n_stored(template)
+    n_before = n_stored(wall_by_search)
     stage = studies(*JUDGE, "--json").stage
     assert stage["finished_before"]
     assert set(stage["parameters"]) == {"GIn", "G12", "G23", "C1", "C2", "C3", "T2Start"}
@@ -99,7 +82,7 @@ def test_it_says_how_sure_the_calibration_is(
     (run,) = client.search_runs([experiment.experiment_id], "tags.role = 'uncertainty'")
     assert (run.info.status, run.info.run_name) == ("FINISHED", "adaptive uncertainty")
 
-    before = results_of(project)
+    before = stored_result(project, JUDGED)
     again = studies(*JUDGE, "--again")
     n_read = calls["total"] + calls["n_warm_start"]
     assert f"{n_read} of {n_read} simulations reused" in again.err
@@ -108,7 +91,7 @@ def test_it_says_how_sure_the_calibration_is(
     assert "Noise model: " in shown
     assert f"{calls['total']} model calls: {N_DIFFERENCES} differences" in shown
     assert f"{calls['n_warm_start']} simulations stored before taught it, too" in shown
-    assert results_of(project) == before
+    assert stored_result(project, JUDGED) == before
 
 
 def test_what_a_calibration_that_ended_early_left_over_is_no_noise(project: Path, studies: Run) -> None:
@@ -144,14 +127,14 @@ def test_where_rows_are_stored_and_no_result_it_goes_on_and_simulates_nothing_tw
 ) -> None:
     """As after a kill; tests/cli/test_cli_adaptive.py kills a command."""
     project = copy_of(undisturbed, tmp_path / "project", monkeypatch)
-    whole = results_of(project)
+    whole = stored_result(project, JUDGED)
     (project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json").unlink()
     for file in project.glob("data/wall/generated/simulations/*.db"):
         with closing(sqlite3.connect(file)) as database, database:
             database.execute("delete from simulations where _id > (select max(_id) from simulations) - 5")
     resumed = studies(*JUDGE, "--json").stage
     assert resumed["n_simulated"] == 5
-    assert results_of(project) == whole
+    assert stored_result(project, JUDGED) == whole
 
 
 @pytest.mark.parametrize(

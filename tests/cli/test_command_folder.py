@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from project_for_tests import REPOSITORY
+from project_for_tests import process_environment
 
 LIMIT_S = 120.0
 # A command that makes temporary folders as the stages do: itself, and in a process of multiprocessing.
@@ -48,8 +48,7 @@ def temporary(tmp_path: Path) -> Path:
 
 
 def environment(temporary: Path) -> dict[str, str]:
-    places = {"STUDIES_ROOT": str(temporary.parent), "PYTHONPATH": str(REPOSITORY), "TMPDIR": str(temporary)}
-    return os.environ | places
+    return process_environment(temporary.parent) | {"TMPDIR": str(temporary)}
 
 
 def busy(temporary: Path, seconds: float) -> "subprocess.Popen[str]":

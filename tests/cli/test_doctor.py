@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 from bad_cases_for_tests import counted, make_bad_case
-from project_for_tests import Answer, Run
+from project_for_tests import Answer, Run, edit
 
 from simulation.case import load_case
 from simulation.case_reading import read_experiments
@@ -38,12 +39,6 @@ def finding(answer: Answer, what: str) -> dict[str, Any]:
     return found
 
 
-def edit(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert old in text
-    file.write_text(text.replace(old, new, 1), encoding="utf-8")
-
-
 def test_the_office_is_sound(project: Path, studies: Run) -> None:
     answer = studies("check", "--profile", "smoke", "--json")
     document = answer.document
@@ -60,7 +55,7 @@ def test_the_office_is_sound(project: Path, studies: Run) -> None:
 def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: Run) -> None:
     # Ventilation that never runs leaves its flow without effect.
     case = project / "fmus" / "office" / "case.toml"
-    edit(case, 'column = "RLTFlow"', "sum = { RLTFlow = 0.0 }")
+    edit(case, ('column = "RLTFlow"', "sum = { RLTFlow = 0.0 }"))
     answer = studies("check", "--profile", "smoke", "--json")
     (finding,) = [f for f in answer.document["findings"] if f["what"] == "every parameter moves an output"]
     assert answer.code == 1
@@ -71,14 +66,12 @@ def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: R
 
 def test_a_measurement_out_of_reach_is_worth_a_look(project: Path, studies: Run) -> None:
     recording = project / "data" / "office" / "recording_1800s.csv"
-    lines = recording.read_text(encoding="utf-8").splitlines()
-    rows = [line.split(",") for line in lines[1:]]
-    warm = [",".join([row[0], f"{float(row[1]) + 100.0:.6f}", *row[2:]]) for row in rows]
-    recording.write_text("\n".join([lines[0], *warm]) + "\n", encoding="utf-8")
+    table = pandas.read_csv(recording)
+    table["TRoom_degC"] += 100.0
+    table.to_csv(recording, index=False)
     edit(
         project / "fmus" / "office" / "case.toml",
-        'TAirInit = { first_measured = "TAir" }',
-        "TAirInit = 295.15",
+        ('TAirInit = { first_measured = "TAir" }', "TAirInit = 295.15"),
     )
     answer = studies("check", "--profile", "smoke", "--json")
     (finding,) = [f for f in answer.document["findings"] if f["what"] == "box covers the measurement"]
@@ -183,8 +176,8 @@ def test_what_the_doctor_simulates_is_kept(
 
 def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     file = project / "fmus" / "office" / "case.toml"
-    edit(file, 'column = "TEnv_degC"\nunit = "degC"', 'column = "TEnv_degC"\nunit = "K"')
-    edit(file, 'column = "FlowSupply"', "sum = { FlowSupply = 0.0 }")
+    kelvin = ('column = "TEnv_degC"\nunit = "degC"', 'column = "TEnv_degC"\nunit = "K"')
+    edit(file, kelvin, ('column = "FlowSupply"', "sum = { FlowSupply = 0.0 }"))
     found = {one.what: one for one in look_at_data(load_case(file))}
     assert found["units of the data"].level == "warn"
     assert "TAmb" in found["units of the data"].found
@@ -199,11 +192,9 @@ def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
     case = load_case(project / "fmus" / "office")
     (recording,) = {one.file for one in read_experiments(case.path)[0].file.inputs if one.name == "TAmb"}
     file = project / "data" / "office" / recording
-    header, *lines = file.read_text(encoding="utf-8").splitlines()
-    cells = lines[100].split(",")
-    cells[header.split(",").index("TEnv_degC")] = value
-    lines[100] = ",".join(cells)
-    file.write_text("\n".join([header, *lines, ""]), encoding="utf-8")
+    table = pandas.read_csv(file)
+    table.loc[99, "TEnv_degC"] = float(value)
+    table.to_csv(file, index=False)
     found = {one.what: one.found for one in look_at_data(load_case(project / "fmus" / "office"))}
     said = found.get("values far from all others", "")
     assert said.startswith("TAmb: -") == is_named

@@ -68,13 +68,10 @@ def test_the_fmu_that_holds_the_recording_is_read(
     assert imported(project) == expected
 
 
-def cut(recording: Recording, name: str, rows: slice) -> None:
-    recording[name] = (recording[name][0][rows], recording[name][1][rows])
-
-
 def shorten(recording: Recording) -> None:
-    for name in recording:
-        cut(recording, name, slice(0, 48 * 9 * (3 if name == "Occupancy" else 1)))
+    for name, (time, values) in recording.items():
+        rows = slice(0, 48 * 9 * (3 if name == "Occupancy" else 1))
+        recording[name] = (time[rows], values[rows])
 
 
 def make_gap(recording: Recording) -> None:

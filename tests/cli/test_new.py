@@ -12,31 +12,18 @@ from project_for_tests import Run
 from simulation.case import load_case
 from simulation.case_reading import read_experiments
 
-HEAD_2 = (
-    '<?xml version="1.0" encoding="UTF-8"?>\n'
-    '<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="g">'
-)
-HEAD_3 = (
-    '<?xml version="1.0" encoding="UTF-8"?>\n'
-    '<fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">'
-)
 
-
-def make_fmu(
-    file: Path, variables: str, *, version: str = "2.0", interfaces: str = "", extra: str = ""
-) -> Path:
+def make_fmu(file: Path, variables: str, extra: str = "") -> Path:
     """Write an FMU that can be read, not run."""
-    identifier = "model"
-    interfaces = interfaces or f'<CoSimulation modelIdentifier="{identifier}"/>'
-    head = (HEAD_2 if version == "2.0" else HEAD_3).format(name=file.stem)
     description = (
-        f"{head}{interfaces}{extra}<ModelVariables>{variables}</ModelVariables><ModelStructure/>"
-        "</fmiModelDescription>"
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<fmiModelDescription fmiVersion="2.0" modelName="{file.stem}" guid="g">'
+        f'<CoSimulation modelIdentifier="model"/>{extra}<ModelVariables>{variables}</ModelVariables>'
+        "<ModelStructure/></fmiModelDescription>"
     )
-    folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("modelDescription.xml", description)
-        archive.writestr(f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}", b"")
+        archive.writestr(f"binaries/{fmpy.platform}/model{fmpy.sharedLibraryExtension}", b"")
     return file
 
 
@@ -195,28 +182,6 @@ def test_a_wrong_wish_is_one_line_and_writes_nothing(
     for fragment in fragments:
         assert fragment in line
     assert sorted(project.rglob("*")) == before
-
-
-def test_fmi_3_model_exchange_and_a_broken_rule(project: Path, studies: Run, tmp_path: Path) -> None:
-    # The unit is not among the unit definitions, as CasADi writes it.
-    variables = (
-        '<Float64 name="k" valueReference="1" causality="parameter" variability="fixed" start="2" unit="W"/>'
-        '<Int32 name="n" valueReference="2" causality="parameter" variability="fixed" start="4"/>'
-        '<Float64 name="u" valueReference="3" causality="input" start="0"/>'
-        '<Float64 name="y" valueReference="4" causality="output"/>'
-    )
-    fmu = make_fmu(
-        tmp_path / "Tank.fmu",
-        variables,
-        version="3.0",
-        interfaces='<ModelExchange modelIdentifier="model"/>',
-    )
-    answer = studies("new", str(fmu), "--json")
-    assert answer.code == 0, answer.err
-    case = case_of(project, "tank")
-    assert case["interface"] == "model-exchange"
-    assert [table["name"] for table in case["parameters"]] == ["k"]
-    assert "# n = 4" in (project / "fmus" / "tank" / "case.toml").read_text(encoding="utf-8")
 
 
 def test_a_switch_follows_a_recording_and_a_text_is_held(project: Path, studies: Run, tmp_path: Path) -> None:

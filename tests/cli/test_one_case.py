@@ -4,38 +4,25 @@ import shutil
 from pathlib import Path
 
 import pytest
-from project_for_tests import Run, copy_of, make_calibrated_wall
+from project_for_tests import Run, copy_of, edit
 
 from studies import embedded
 
-HASTE = ("--max-calls", "8")
-CALIBRATE = (*HASTE, "--jobs", "1", "-q")
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a wall that was hastily calibrated."""
-    return make_calibrated_wall(tmp_path_factory.mktemp("template") / "project", *HASTE)
+CALIBRATE = ("--max-calls", "8", "--jobs", "1", "-q")
+OUTER = ("GOut = 200.0", "GOut = 100.0")
 
 
 @pytest.fixture
-def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    return copy_of(template, tmp_path / "project", monkeypatch)
+def project(hasty_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return copy_of(hasty_wall, tmp_path / "project", monkeypatch)
 
 
 @pytest.fixture
 def other(project: Path) -> Path:
     """The wall's case file, copied to another folder and changed, under the same name."""
     folder = shutil.copytree(project / "fmus" / "wall", project.parent / "w2")
-    edit(folder / "case.toml", '"../../data/wall"', f'"{project / "data" / "wall"}"')
-    edit(folder / "case.toml", "GOut = 200.0", "GOut = 100.0")
-    return folder / "case.toml"
-
-
-def edit(file: Path, old: str, new: str) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    file.write_text(text.replace(old, new), encoding="utf-8")
+    data = ('"../../data/wall"', f'"{project / "data" / "wall"}"')
+    return edit(folder / "case.toml", data, OUTER)
 
 
 def results_in(project: Path) -> dict[str, bytes]:
@@ -58,7 +45,7 @@ def test_another_case_file_of_the_name_is_refused_and_touches_nothing(
 def test_the_same_case_file_may_be_edited_and_given_in_other_words(project: Path, studies: Run) -> None:
     assert studies("calibrate", "fmus/wall/../wall/case.toml", *CALIBRATE).code == 0
     before = results_in(project)
-    edit(project / "fmus" / "wall" / "case.toml", "GOut = 200.0", "GOut = 100.0")
+    edit(project / "fmus" / "wall" / "case.toml", OUTER)
     assert studies("calibrate", "wall", *CALIBRATE).code == 0
     assert results_in(project)["calibrate-adaptive.json"] != before["calibrate-adaptive.json"]
 
@@ -70,7 +57,7 @@ def test_a_name_that_was_given_away_is_free(
     monkeypatch.setattr(embedded, "EMBEDDED", project / "nowhere")  # there the wall keeps its name
     first = project / "fmus" / "wall" / "case.toml"
     if is_kept:
-        edit(first, 'name = "wall"', 'name = "first-wall"')
+        edit(first, ('name = "wall"', 'name = "first-wall"'))
     else:
         first.unlink()
     assert "wall-quick has no calibration" in studies("uncertainty", str(other)).err

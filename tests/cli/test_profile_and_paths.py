@@ -1,7 +1,5 @@
 """Profiles are budgets checked at the edge; paths find the project and its cases."""
 
-from pathlib import Path
-
 import pytest
 
 from studies.commands.options import window
@@ -13,13 +11,6 @@ def test_all_shipped_profiles_are_read_under_their_own_name() -> None:
     for name in profile_names():
         assert load_profile(name).name == name
         assert load_profile(name).note
-
-
-def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text('name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 1\n', encoding="utf-8")
-    profile = load_profile(str(file))
-    assert (profile.name, profile.data.n_train, profile.tuning.n_trials, profile.seed) == ("mine", (8,), 1, 0)
 
 
 @pytest.mark.parametrize(

@@ -137,25 +137,24 @@ def test_what_was_changed_since_is_one_line(copied: Path, studies: Run, change: 
 
 
 @pytest.mark.parametrize(
-    ("run", "said"),
+    ("what", "said"),
     [
         ("office-smoke/n0077", "nothing is called 'office-smoke/n0077'"),
         ("office-smoke", "nothing is called"),
         ("0123456789abcdef0123456789abcdef", "nothing is called"),
+        ("study", "provenance.json"),
+        ("sensitivity", "'sensitivity'"),
     ],
 )
-def test_what_is_not_there_is_one_line(copied: Path, studies: Run, run: str, said: str) -> None:
+def test_what_cannot_be_made_again_is_one_line(
+    made: Path, studies: Run, what: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(made)
+    (run, *_) = [*runs_of(made, what), what]
     answer = studies("reproduce", run, "--json")
     assert answer.code == 2
     assert said in answer.document["error"]
     assert len(answer.err.splitlines()) == 1
-
-
-@pytest.mark.parametrize(("role", "said"), [("study", "provenance.json"), ("sensitivity", "'sensitivity'")])
-def test_what_cannot_be_made_again_is_one_line(copied: Path, studies: Run, role: str, said: str) -> None:
-    answer = studies("reproduce", runs_of(copied, role)[0], "--json")
-    assert answer.code == 2
-    assert said in answer.document["error"]
 
 
 def test_a_damaged_record_of_a_run_is_one_line_at_the_terminal(copied: Path, studies: Run) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import optuna
 import pytest
 from optuna.trial import TrialState
-from project_for_tests import REPOSITORY, Run
+from project_for_tests import REPOSITORY, Run, process_environment
 from studies_for_tests import (
     SPACE,
     WALL_S,
@@ -172,14 +172,15 @@ def test_status_loads_nothing_that_trains_or_simulates(project: Path) -> None:
         "heavy = ('torch', 'mlflow', 'pyarrow', 'scipy', 'vl_convert', 'fmpy', 'numba')\n"
         "print([name for name in heavy if name in sys.modules])"
     )
+    words = [sys.executable, "-c", program]
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, env=in_project(project)
+        words,
+        capture_output=True,
+        text=True,
+        check=True,
+        env=process_environment(project),
     )
     assert done.stdout.splitlines()[-1] == "[]"
-
-
-def in_project(project: Path) -> dict[str, str]:
-    return os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY), "TERM": "xterm"}
 
 
 @pytest.mark.parametrize(("columns", "shown", "left_out"), [(80, "MAE", "trials/h"), (140, "trials/h", "")])
@@ -190,7 +191,8 @@ def test_a_terminal_shows_the_columns_that_fit(
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
     # The terminal says its size, not what the tests' own terminal is said to have.
-    environment = {k: v for k, v in in_project(project).items() if k not in ("COLUMNS", "LINES")}
+    whole = process_environment(project) | {"TERM": "xterm"}
+    environment = {k: v for k, v in whole.items() if k not in ("COLUMNS", "LINES")}
     words = [sys.executable, "-m", "studies", "status"]
     done = subprocess.run(
         words, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=environment, check=True

@@ -1,13 +1,11 @@
 """The whole job on the real FMU and the shipped measurement: the real command on small sizes."""
 
 import json
-import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands_shown_for_tests import WHY_NOT, give_what_commands_name, lines_shown
+from project_for_tests import REPOSITORY, add_case, process_environment
 
 from simulation.case import load_case
 from simulation.measurement import Measurement
@@ -30,7 +29,6 @@ from studies.surrogate_model import SurrogateModel
 from studies.tracking.quiet_mlflow import connect
 from studies.tracking.runs import RunStore, load_surrogate
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"
 # All five sizes with 16 trials each take minutes; README's first command runs them.
 SIZES, N_TRIALS = (32, 64), 5
@@ -60,11 +58,10 @@ BEST_MSE, FACTOR = 0.01052, 1.17
 
 @dataclass(frozen=True)
 class Done:
-    """A finished `studies run`: its project, its JSON, its wall time."""
+    """A finished `studies run`: its project, and its JSON."""
 
     project: Path
     document: dict[str, Any]
-    wall_s: float
 
     def stage(self, name: str) -> dict[str, Any]:
         return next(stage for stage in self.document["stages"] if stage["stage"] == name)
@@ -72,19 +69,6 @@ class Done:
     @property
     def calibrations(self) -> list[dict[str, Any]]:
         return [stage for stage in self.document["stages"] if stage["stage"].startswith("calibrate")]
-
-
-def run(project: Path, profiles: Path) -> Done:
-    started = time.monotonic()
-    done = subprocess.run(
-        [*COMMAND, "--profile", str(profiles / "quick.toml"), "--n-train", *map(str, SIZES)],
-        env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return Done(project, json.loads(done.stdout), time.monotonic() - started)
 
 
 @pytest.fixture(scope="module")
@@ -109,22 +93,16 @@ def first(profiles: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     """What a newcomer gets from one command."""
     root = tmp_path_factory.mktemp("project")
     (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
-    shutil.copytree(REPOSITORY / "fmus" / "office", root / "fmus" / "office")
-    (root / "data" / "office").mkdir(parents=True)
-    for file in (REPOSITORY / "data" / "office").glob("*.csv"):
-        shutil.copy(file, root / "data" / "office")
-    return run(root, profiles)
-
-
-def test_it_takes_minutes_and_leaves_everything_behind(first: Done) -> None:
-    assert first.wall_s < 600.0
-    left = [
-        f"mlruns/reports/{LABEL}/index.html",
-        f"mlruns/results/{LABEL}/calibrate-n0064.json",
-        "mlruns/optuna.db",
-        "mlruns/mlflow.db",
-    ]
-    assert [name for name in left if not (first.project / name).is_file()] == []
+    add_case(root, "office")
+    done = subprocess.run(
+        [*COMMAND, "--profile", str(profiles / "quick.toml"), "--n-train", *map(str, SIZES)],
+        env=process_environment(root),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return Done(root, json.loads(done.stdout))
 
 
 def test_the_error_of_the_surrogate_falls_with_the_training_set(first: Done) -> None:
@@ -166,28 +144,6 @@ def test_the_sampler_proposes_at_least_half_of_the_trials_of_each_size(first: Do
         assert study["n_trials"] == N_TRIALS
         assert study["n_complete"] + study["n_pruned"] == N_TRIALS
         assert 2 * study["n_proposed"] >= study["n_trials"]
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_one_call_of_mlflow_answers_the_best_model_of_each_size(first: Done) -> None:
-    from mlflow import MlflowClient
-
-    client = MlflowClient(f"sqlite:///{first.project}/mlruns/mlflow.db")
-    experiment = client.get_experiment_by_name(LABEL)
-    assert experiment is not None
-    runs = client.search_runs([experiment.experiment_id], "tags.best = 'yes'")
-    found = {int(run.data.params["n_train"]): run for run in runs}
-    studies = {study["n_train"]: study for study in first.stage("tune")["studies"]}
-    assert len(runs) == len(found) == len(studies) == len(SIZES)
-    for n_train, study in studies.items():
-        run = found[n_train]
-        assert run.info.run_id == study["run_id"]
-        assert run.data.tags["mlflow.parentRunId"]
-        for name in ("val/mae", "test/mae", "test/p90"):
-            assert run.data.metrics[name] == study["metrics"][name]
-        for name in ("n_latent", "n_hidden", "beta"):
-            assert run.data.params[name] == str(study["params"][name])
-    assert client.search_runs([experiment.experiment_id], "attributes.status = 'RUNNING'") == []
 
 
 def test_known_parameters_are_found_again_up_to_what_they_do(first: Done) -> None:

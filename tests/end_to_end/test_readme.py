@@ -102,14 +102,10 @@ def test_the_readme_is_one_page() -> None:
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_sentences_are_short(name: str) -> None:
+def test_sentences_are_short_and_words_are_those_of_the_field(name: str) -> None:
     every = [one for paragraph in TEXTS[name] for one in sentences(paragraph)]
     assert every
     assert not [one for one in every if len(one.split()) > MAX_SENTENCE]
-
-
-@pytest.mark.parametrize("name", TEXTS)
-def test_words_are_those_of_the_field(name: str) -> None:
     assert not [paragraph for paragraph in TEXTS[name] if BANNED.search(paragraph)]
 
 

@@ -1,19 +1,14 @@
 """A project with the embedded office, and the command line in this process."""
 
-import io
-import json
-import shutil
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mlflow_store_for_tests import give_store
-
-from studies.cli import main
-
-REPOSITORY = Path(__file__).resolve().parents[2]
+from paper_study_for_tests import reproduce_paper
+from project_for_tests import add_case
 
 TOY = """\
 schema = 1
@@ -49,11 +44,7 @@ Reproduce = Callable[..., tuple[int, dict[str, Any]]]
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project of the office, with a toy profile."""
     root = tmp_path_factory.mktemp("paper") / "project"
-    (root / "fmus" / "office").mkdir(parents=True)
-    for name in ("Office.fmu", "case.toml"):
-        shutil.copy(REPOSITORY / "fmus" / "office" / name, root / "fmus" / "office" / name)
-    ignore = shutil.ignore_patterns("generated", "*.png", "*.py")
-    shutil.copytree(REPOSITORY / "data" / "office", root / "data" / "office", ignore=ignore)
+    add_case(root, "office")
     (root / "studies.toml").write_text("schema = 1\n")
     (root / "toy.toml").write_text(TOY)
     give_store(root)
@@ -63,13 +54,6 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def reproduce(project: Path) -> Iterator[Reproduce]:
     """Run `studies reproduce-paper office` with the toy profile; return exit code and document."""
-
-    def run(*words: str) -> tuple[int, dict[str, Any]]:
-        said = io.StringIO()
-        with redirect_stdout(said):
-            code = main(["reproduce-paper", "office", "--profile", "toy.toml", "--json", "--quiet", *words])
-        return code, json.loads(said.getvalue())
-
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(project)
-        yield run
+        yield partial(reproduce_paper, "office", "--profile", "toy.toml")

@@ -1,56 +1,22 @@
 """Figures and tables drawn from the files of an earlier run: no recording, no simulation, no training."""
 
-import io
 import json
 from collections.abc import Callable, Mapping
-from contextlib import redirect_stdout
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mlflow_store_for_tests import give_store
-from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
+from paper_study_for_tests import COMMITTED, REPOSITORY, reproduce_paper
 
 from simulation.errors import InputError
-from studies.cli import main
-from studies.paper.fig6 import SizeTrials, Trial, Tuning, shown
+from studies.paper.fig6 import SizeTrials, shown
 from studies.paper.items import read_sizes, write_size
 from studies.report.wording import count, percent, setting, significant
 
-SEARCH: dict[str, dict[str, Any]] = {
-    "n_latent": {"kind": "int", "low": 8, "high": 256, "log": True},
-    "n_hidden": {"kind": "int", "low": 64, "high": 512, "log": True},
-}
 Draw = Callable[..., tuple[int, dict[str, Any]]]
-
-
-def trial(number: int, mae: float, n_latent: int, *, state: str = "complete") -> Trial:
-    test = mae if state == "complete" else None
-    return Trial(
-        number=number,
-        state=state,
-        proposed_by="TPESampler" if number else "default",
-        params={"n_latent": n_latent, "n_hidden": 64 + 8 * number},
-        val_mae=None if state == "failed" else mae,
-        val_p90=None if test is None else 2.0 * mae,
-        test_mae=test,
-        test_p90=None if test is None else 2.0 * mae,
-        n_epochs=600,
-        best_epoch=600,
-        wall_s=1.0,
-    )
-
-
-def size(n_train: int, *errors: float) -> SizeTrials:
-    def tuning(surrogate: str, *trials: Trial) -> Tuning:
-        settings = {"n_latent": 32, "n_hidden": 256, "beta": 10.0, "learning_rate": 7e-3}
-        return Tuning(surrogate, f"office/n{n_train}", len(trials), settings, SEARCH, {}, {}, trials)
-
-    trials = [trial(number, mae, 8 << number) for number, mae in enumerate(errors)]
-    more = (trial(8, 3.0, 8, state="pruned"), trial(9, 0.0, 8, state="failed"))
-    networks, pca_gp = tuning("refined", *trials, *more), tuning("pca-gp", trial(0, 0.1, 256))
-    return SizeTrials(n_train, 2.6, networks, tuning("paper", trial(0, 1.4, 64)), pca_gp)
 
 
 @pytest.fixture
@@ -59,14 +25,7 @@ def draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Draw:
     (tmp_path / "studies.toml").write_text("schema = 1\n")
     give_store(tmp_path)
     monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> tuple[int, dict[str, Any]]:
-        said = io.StringIO()
-        with redirect_stdout(said):
-            code = main(["reproduce-paper", "office-recorded", "--json", "--quiet", *words])
-        return code, json.loads(said.getvalue())
-
-    return run
+    return partial(reproduce_paper, "office-recorded")
 
 
 @pytest.mark.parametrize(
@@ -80,14 +39,6 @@ def test_the_committed_files_are_drawn(tmp_path: Path, draw: Draw, item: str, pi
     assert drawn.read_bytes().startswith(b"\x89PNG")
     assert [row["n_train"] for row in json.loads(numbers.read_text())["table"]][:2] == [32, 64]
     assert not (tmp_path / "mlruns" / "optuna.db").exists()
-
-
-def test_the_best_is_chosen_by_validation_beside_default_and_others() -> None:
-    result = shown(ORIGIN, [size(1024, 0.1, 0.08, 0.2)])
-    row = dict(zip(result.columns, result.rows[0], strict=True))
-    assert (row["MAE"], row["n_latent"], row["trials"], row["pruned"]) == (0.08, 16, 5, 1)
-    assert row["gain"] == pytest.approx(0.2)
-    assert (row["PCA+GP MAE"], row["faithful MAE"], row["paper MAE"]) == (0.1, 1.4, 0.1)
 
 
 def test_the_committed_trials_are_what_the_documentation_says() -> None:
@@ -118,10 +69,11 @@ def documented_row(row: Mapping[str, Any]) -> str:
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Draw) -> None:
     words = ("--only", "fig6", "--from", str(tmp_path))
     assert "holds no results of this item" in draw(*words)[1]["error"]
-    write_size(tmp_path, ORIGIN, 32, size(32, 1.2))
+    origin, (first, second, *_) = read_sizes(COMMITTED / "fig6", SizeTrials)
+    write_size(tmp_path, origin, 32, first)
     assert "remove --dry-run" in draw(*words, "--dry-run")[1]["error"]
     assert "draws one item alone" in draw("--from", "trials")[1]["error"]
-    write_size(tmp_path, replace(ORIGIN, seed=1), 64, size(64, 1.2))
+    write_size(tmp_path, replace(origin, seed=1), 64, second)
     with pytest.raises(InputError, match=r"n0064.json belongs to other studies than the smallest size"):
         read_sizes(tmp_path, SizeTrials)
     (tmp_path / "n0064.json").write_text('{"schema": 1}')

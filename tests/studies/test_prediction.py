@@ -2,13 +2,13 @@
 
 import csv
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mlflow_store_for_tests import give_store
+from made_once import made_once
+from project_for_tests import DAY, copy_of, make_judged_wall
 
 from simulation.case import load_case
 from simulation.errors import InputError
@@ -19,28 +19,15 @@ from studies.stages.stage_results import Calibration, Uncertainty
 
 ROOT = Path(__file__).resolve().parents[2]
 INPUTS = ROOT / "data" / "wall" / "inputs.csv"
-# How sure it is, is said faster of a day.
-WALL = ("wall", "--window", "1-2", "--jobs", "1")
+WALL = ("wall", *DAY, "--jobs", "1")
 RESULTS = Path("mlruns/results/wall-quick-d1-2")
 
 
-@pytest.fixture(scope="module")
-def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a calibrated wall whose uncertainty is known, and without predictions."""
-    root = tmp_path_factory.mktemp("prediction") / "project"
-    give_store(root)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(root)
-        assert main(["calibrate", *WALL, "-q"]) == 0
-        assert main(["uncertainty", *WALL, "--max-calls", "30", "-q"]) == 0
-    return root
-
-
 @pytest.fixture
-def here(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    shutil.copytree(project, tmp_path / "project")
-    monkeypatch.chdir(tmp_path / "project")
-    return tmp_path / "project"
+def here(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project with a calibrated wall whose uncertainty is known, and without predictions."""
+    judged = made_once(tmp_path_factory, "judged-wall", make_judged_wall)
+    return copy_of(judged, tmp_path / "project", monkeypatch)
 
 
 def predicted(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -116,11 +103,3 @@ def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, text: str, mes
     (tmp_path / "other.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         settings_with_inputs(load_case(ROOT / "fmus" / "wall"), tmp_path / "other.csv")
-
-
-def test_a_case_without_a_calibration_says_what_to_type(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["predict", "wall", "--inputs", str(INPUTS)]) == 2
-    assert "type: studies calibrate wall" in capsys.readouterr().err

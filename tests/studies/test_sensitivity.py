@@ -40,13 +40,6 @@ class GFunction:
             failures=["too large" if row[0] > self.fails_above else "" for row in theta],
         )
 
-    def exact(self) -> tuple[FloatArray, FloatArray]:
-        """First and total order (Saltelli and Sobol 1995; 10.1016/0951-8320(95)00099-2)."""
-        partial = 1.0 / (3.0 * (1.0 + np.array(self.weights)) ** 2)
-        variance = np.prod(1.0 + partial) - 1.0
-        total = partial * np.prod(1.0 + partial) / (1.0 + partial)
-        return partial / variance, total / variance
-
 
 def exact_ishigami(a: float, b: float) -> tuple[FloatArray, FloatArray]:
     """First and total order (Ishigami and Homma 1990; 10.1109/ISUMA.1990.151285)."""

@@ -257,11 +257,6 @@ def test_the_predictive_band_holds_the_measured_values():
     assert share_within(measurement, bands.predictive, 0) == pytest.approx(0.9, abs=0.04)
 
 
-def test_too_few_calls_are_refused_in_one_line():
-    with pytest.raises(InputError, match=r"--max-calls 20 does not hold 28 differences .* give 44 or more"):
-        sampling_within(20, 14)
-
-
 def test_where_simulations_fail_few_are_asked():
     # The best offset is 0.503, and above 0.5 every simulation fails.
     cut = replace(line(), f=lambda theta, t: np.where(theta[0] <= 0.5, theta[0] + theta[1] * t, np.nan))

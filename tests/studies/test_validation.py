@@ -1,39 +1,18 @@
 """Validation on days that the calibration did not see: what it simulates, compares and leaves alone."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from simulation.case import Case, load_case
+from simulation.case import load_case
 from simulation.counting import CountingModel
 from studies.stages.calibrated_point import validate
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 
-
-def office(folder: Path, time: str) -> Path:
-    """Lay out a project with the office and other keys under [time]."""
-    shutil.copytree(REPOSITORY / "fmus" / "office", folder / "fmus" / "office")
-    (folder / "data" / "office").mkdir(parents=True)
-    for file in (REPOSITORY / "data" / "office").glob("*.csv"):
-        shutil.copy(file, folder / "data" / "office")
-    (folder / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
-    path = folder / "fmus" / "office" / "case.toml"
-    text = path.read_text()
-    assert "start_d = 0 " in text
-    path.write_text(text.replace("[time]\n", f"[time]\n{time}\n"))
-    return path
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    return load_case(office(tmp_path_factory.mktemp("validated"), "validation_d = [10, 12]"))
-
-
-def test_points_are_compared_on_both_periods(case: Case) -> None:
+def test_points_are_compared_on_both_periods(whole_run: Path) -> None:
+    case = load_case(whole_run / "fmus" / "office")
     assert case.validation is not None
     middle = case.parameter_space.from_unit(np.full((2, 14), 0.5))
     middle[1, 0] = np.nan

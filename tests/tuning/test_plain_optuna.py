@@ -11,7 +11,6 @@ from toy_study_for_tests import (
     plain_study,
     runs_of,
     states,
-    toy_study,
     tuned_study,
 )
 
@@ -68,12 +67,3 @@ def test_studies_of_other_programs_are_left_alone(copied: ProjectPaths) -> None:
         Worker(copied, "other")
     with pytest.raises(InputError, match="there is no study 'missing'"):
         Worker(copied, "missing")
-
-
-def test_a_foreign_trial_of_a_study_that_never_ends_is_not_waited_for(project: ProjectPaths) -> None:
-    spec = toy_study()
-    tune([spec], paths=project, n_trials=3, n_jobs=1, until_s=0.0)
-    study = plain_study(project, spec.name)
-    study.add_trial(create_trial(state=TrialState.RUNNING))
-    Worker(project, spec.name).run()
-    assert states(study.get_trials()) == ["COMPLETE", "RUNNING", "COMPLETE"]

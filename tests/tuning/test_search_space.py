@@ -89,6 +89,9 @@ def test_the_default_lies_inside_the_usual_space(surrogate: str) -> None:
 @pytest.mark.parametrize(
     ("search", "more", "message"),
     [
+        ("", "n_trails = 2", "n_trails"),
+        ("n_latent = [4, 8]", "", r"tuning\.search\.n_latent"),
+        ("", "[sensitivity]\nn_base = 100", "sensitivity.*power of two"),
         ('n_trees = { kind = "int", low = 1, high = 2 }', "", "search.n_trees has no effect on surrogate"),
         (
             'n_layers = { kind = "int", low = 1, high = 2 }',

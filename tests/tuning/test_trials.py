@@ -23,7 +23,7 @@ from toy_study_for_tests import (
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.tuning.declaration import Declaration
-from studies.tuning.study_results import TunedStudy, read_studies, read_study
+from studies.tuning.study_results import read_studies, read_study
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.tuning.worker import Worker
 
@@ -36,10 +36,6 @@ def prepared(paths: ProjectPaths, spec: Declaration, n_trials: int) -> Worker:
     return Worker(paths, spec.name)
 
 
-def of_sizes(paths: ProjectPaths) -> list[TunedStudy]:
-    return [study for study in read_studies(paths) if not study.spec.is_baseline]
-
-
 def test_every_study_reaches_its_trials(tuned: ProjectPaths) -> None:
     for spec in SPECS:
         trials = plain_study(tuned, spec.name).get_trials()
@@ -48,16 +44,14 @@ def test_every_study_reaches_its_trials(tuned: ProjectPaths) -> None:
     assert_mlflow_agrees(tuned, SPECS[0].label, *(spec.name for spec in SPECS))
 
 
-def test_the_first_trial_is_the_default_configuration(tuned: ProjectPaths) -> None:
-    for study in of_sizes(tuned):
+def test_trials_begin_with_the_default_and_the_sampler_proposes_most_although_some_were_pruned(
+    tuned: ProjectPaths,
+) -> None:
+    for study in (one for one in read_studies(tuned) if not one.spec.is_baseline):
         first = study.trials[0]
         assert (first.proposed_by, first.state) == ("default", "complete")
         assert first.params == {"n_latent": 8, "n_hidden": 32, "beta": 10.0}  # clipped to the search space
         assert study.default is first
-
-
-def test_the_sampler_proposes_most_trials_although_some_were_pruned(tuned: ProjectPaths) -> None:
-    for study in of_sizes(tuned):
         assert study.count("pruned") >= 1
         assert 2 * study.n_proposed >= N_TUNED
         assert {trial.proposed_by for trial in study.trials} == {"default", "start-up", "TPESampler"}
