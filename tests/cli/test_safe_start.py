@@ -12,6 +12,7 @@ from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY
 
 from simulation.pool.safe_start import as_for_fmus, start_safely
+from studies.profile import PROFILE_FOLDER
 
 HOSTILE = ("mlflow", "multiprocessing", "numpy", "pickle", "random", "signal", "socket", "uvicorn")
 LIMIT_S = 300.0
@@ -61,7 +62,12 @@ def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path)
 
 def test_no_worker_of_tuning_and_no_server_imports_from_the_working_folder(hostile: Path) -> None:
     give_store(hostile.parent / "project")
-    short = ("--profile", "smoke", "--n-train", "16", "--trials", "1")
+    smoke = (PROFILE_FOLDER / "smoke.toml").read_text(encoding="utf-8")
+    profile = hostile.parent / "networks.toml"
+    profile.write_text(
+        smoke.replace("[tuning]\n", "[tuning]\nbaseline = false\n").replace("smoke", "networks")
+    )
+    short = ("--profile", str(profile), "--n-train", "16", "--trials", "1")
     run(hostile, ("-m", "studies"), "tune", "wall", *short)
     argv, environment = command(hostile, ("script",), "ui")
     with subprocess.Popen(
