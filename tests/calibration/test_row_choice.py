@@ -105,7 +105,7 @@ def test_the_best_rows_come_first_then_the_farthest_and_none_twice() -> None:
     assert gaps.min() > SAME_ROW
 
 
-def test_what_was_asked_beside_many_known_rows_counts() -> None:
+def test_a_few_new_rows_count_beside_many_known_ones() -> None:
     # All over the box an oscillator's rows pass for noise; were those beside the best one to, too, the least
     # error of these three would be ten times that of the known ones.
     case = load_case(REPOSITORY / "fmus" / "vanderpol" / "case.toml")
