@@ -117,7 +117,9 @@ def shortest_product(products: Products, theta: FloatArray, value: float, amount
         The formula, None where no product is as exact as coefficients are.
     """
     powers = products.powers[: products.n_paired]
-    shares = value / (amount * values_of(powers, theta[None])[0])
+    # A parameter may be zero there.
+    with np.errstate(all="ignore"):
+        shares = value / (amount * values_of(powers, theta[None])[0])
     found = np.flatnonzero((np.abs(shares) - 1.0) ** 2 < EXACT)
     if not found.size:
         return None
