@@ -23,8 +23,8 @@ from simulation.pool.safe_start import as_for_fmus
 from simulation.pool.supervisor import Job, no_process, supervise
 from simulation.pool.worker_process import ROOM, Factory, packed, remember
 
-# Rows are spread over processes: threads below that would only get into each other's way.
-_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+"""Environment of processes that share the work: threads below that would only get into each other's way."""
 _TICK_S = 1.0  # how often ended supervisors are looked for
 # Without supervisors it ends after this time.
 _PATIENCE_S = 60.0
@@ -77,7 +77,7 @@ def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection
     module = getattr(make_model, "__module__", "")
     job = Job(packed(make_model), module, frozenset(KNOWN), policy, folder)
     places = [place or folder for place in sys.path]
-    environment = dict.fromkeys(_THREADS, "1") | as_for_fmus(os.environ)
+    environment = ONE_THREAD | as_for_fmus(os.environ)
     near, far = socket.socketpair()
     with _lock, far:
         key = os.getpid(), (*places,), frozenset(environment.items())

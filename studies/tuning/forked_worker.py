@@ -12,11 +12,10 @@ from multiprocessing import forkserver
 from types import ModuleType
 
 from simulation.errors import InputError
+from simulation.pool.fork_server import ONE_THREAD
+from simulation.pool.safe_start import start_safely
 from studies.paths import ProjectPaths
 
-# Else every worker would start a thread per core, and import what lies in the working folder.
-_SURROUNDINGS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-_SURROUNDINGS |= {"PYTHONSAFEPATH": "1"}
 # These imports take 7 s of processor time.
 _FORKED = multiprocessing.get_context("forkserver")
 _FORKED.set_forkserver_preload(["studies.tuning.worker"])
@@ -67,11 +66,12 @@ def _fork_server() -> Iterator[None]:
     before, script = dict(os.environ), sys.modules["__main__"]
     # Ctrl-C is for the command, which stops its workers; also while these import.
     masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    os.environ.update(_SURROUNDINGS)
+    os.environ.update(ONE_THREAD)
+    start_safely()
     try:
         forkserver.ensure_running()
     finally:
-        for name in _SURROUNDINGS.keys() - before.keys():
+        for name in os.environ.keys() - before.keys():
             del os.environ[name]
         os.environ.update(before)
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
