@@ -23,7 +23,6 @@ ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "benchmarks")]
 
 from interval_coverage import in_experiments  # noqa: E402
-from two_rooms_for_tests import two_rooms_with  # noqa: E402
 
 from simulation import Case, Measurement  # noqa: E402
 from simulation.experiments import JoinedModel  # noqa: E402
@@ -32,16 +31,6 @@ from studies.calibration.experiments_ode import WatchedModel, learned_ode, watch
 from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.calibration.states import watching_states  # noqa: E402
-
-
-def cut(name: str, n: int, days: float) -> Case:
-    """Return a case with n experiments: its own first ones, or its recording cut."""
-    # "random" and "together" move all inputs; any one experiment alone does not show all parameters.
-    order = ["random", "together", "door", "cooling", "heater-1", "heater-2", "in-turn"]
-    with tempfile.TemporaryDirectory() as folder:
-        if name == "two-rooms":
-            return two_rooms_with(Path(folder), *order[:n])
-        return in_experiments(name, n, days, [], Path(folder))
 
 
 @contextmanager
@@ -68,7 +57,8 @@ def main() -> None:
     print(f"| {head} |\n|---|---:|---:|---:|---:|---:|---:|")
     for name in options.cases:
         for n in options.experiments:
-            case = cut(name, n, options.days)
+            with tempfile.TemporaryDirectory() as folder:
+                case = in_experiments(name, n, options.days, [], Path(folder))
             k = len(case.experiments)
             if k < n and name == "two-rooms":
                 print(f"{name}: has {k} experiments to calibrate", file=sys.stderr)

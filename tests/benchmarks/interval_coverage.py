@@ -4,10 +4,10 @@ Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [
 truth is drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the
 sensor's uncertainty that follows itself with correlation rho from sample to sample, calibrated without an
 initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. With
-`--experiments 4`, the recording is cut into four experiments that start one after the other; `--own T2Start`
-gives each a value of that parameter of its own. With `--declared`, the measurement says how long its errors
-last, so that residuals are whitened. Every run is kept in the JSON file as soon as it ends and not repeated.
-Prints a table and gates nothing.
+`--experiments 4`, the recording is cut into four experiments that start one after the other (two-rooms has
+its own); `--own T2Start` gives each a value of that parameter of its own. With `--declared`, the measurement
+says how long its errors last, so that residuals are whitened. Every run is kept in the JSON file as soon as
+it ends and not repeated. Prints a table and gates nothing.
 
 The theory beside it is the Cramer-Rao bound: intervals of 2 * 1.645 * sqrt(diag(F^-1)) with the information F
 of the samples at the truth, known noise and no box. Where runs with half as many experiments are kept, their
@@ -27,7 +27,9 @@ from typing import Any, get_args
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from two_rooms_for_tests import two_rooms_with  # noqa: E402
 
 from simulation import Case, ForwardModel, Measurement, Trajectories, load_case  # noqa: E402
 from simulation.arrays import FloatArray  # noqa: E402
@@ -47,6 +49,8 @@ NORMAL_95 = 1.6449
 """95 % quantile of the normal distribution."""
 WIDE = 0.3
 """Intervals that are wider by the theory end at the box, not at the data. [1]"""
+ROOMS = ("random", "together", "door", "cooling", "heater-1", "heater-2", "in-turn")
+"""Experiments of two-rooms; the first two move all inputs, any one alone does not show all parameters."""
 
 
 class Diary(WrappedModel):
@@ -80,6 +84,8 @@ def disturbed(
 
 def in_experiments(case: str, n: int, length_d: float, own: list[str], folder: Path) -> Case:
     """Return a case whose recording is cut into experiments, with own values of some parameters."""
+    if case == "two-rooms":
+        return two_rooms_with(folder, *ROOMS[:n])
     file = ROOT / "fmus" / case / "case.toml"
     text = file.read_text(encoding="utf-8")
     text = re.sub(r"\n(# [^\n]*)?\n\[\[references\]\].*", "\n", text, flags=re.S)
@@ -225,7 +231,8 @@ def main() -> None:
     own = "".join(f", own {one}" for one in options.own)
 
     def name_of(n: int | None) -> str:
-        cut = "" if n is None else f" in {n} of {options.days:g} d{own}"
+        length = "its own" if options.case == "two-rooms" else f"{options.days:g} d{own}"
+        cut = "" if n is None else f" in {n} of {length}"
         return f"{options.case}{cut} | {said}"
 
     name = name_of(options.experiments)
