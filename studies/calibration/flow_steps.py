@@ -1,4 +1,4 @@
-"""Sums of terms and changes of switches, solved by the Runge-Kutta method in compiled steps, one by one."""
+"""Compiled steps of equations: Runge-Kutta steps with changes of switches, and steps of linear equations."""
 
 from typing import Final
 
@@ -21,6 +21,10 @@ NUMBERS: Final = {
 MOST_CHANGES, MOST_GUESSES = 100, 60
 # A change is found to this part of a step. Rounding.
 SAME_TIME = 1e-9
+# Below a norm of 1/2 the next term of the series is less than rounding.
+N_TERMS = 13
+# Of fewer states than ten a call of BLAS takes longer than the product itself.
+SMALL = 8
 
 
 # Element by element: an assignment of whole arrays takes a second or more to compile.
@@ -248,6 +252,76 @@ def steps(
                 # States that run away do not come back: the rest of the answer stays NaN.
                 if not _are_finite(x):
                     break
+    return answer
+
+
+@compiled
+def _product(a: FloatArray, b: FloatArray, into: FloatArray) -> None:
+    """Write a product of square matrices into a third one."""
+    n = a.shape[0]
+    if n > SMALL:
+        np.dot(a, b, into)
+        return
+    for i in range(n):
+        _fill(into[i], 0.0)
+        for k in range(n):
+            for j in range(n):
+                into[i, j] += a[i, k] * b[k, j]
+
+
+@compiled
+def exponentials(equations: FloatArray) -> FloatArray:
+    """Return how states and constant inputs move states over a step.
+
+    These are exp(A) and phi(A) B of dx = A x + B u, times the step. phi(A) is A^-1 (exp(A) - 1):
+    a series where A is small, then doubled (Higham 2008, Functions of Matrices, 10.7.4).
+
+    Args:
+        equations: A and B side by side, times the step, of n points. Finite. Shape (n, s, s + q). [1]
+
+    Returns:
+        Both side by side. Shape (n, s, s + q). [1]
+    """
+    n, s, width = equations.shape
+    answer = np.empty((n, s, width))
+    a, phi, whole, product = np.empty((s, s)), np.empty((s, s)), np.empty((s, s)), np.empty((s, s))
+    for point in range(n):
+        norm, n_doublings = 0.0, 0
+        for i in range(s):
+            size = 0.0
+            for j in range(s):
+                size += abs(equations[point, i, j])
+            norm = max(norm, size)
+        while norm > 0.5:
+            norm *= 0.5
+            n_doublings += 1
+        for i in range(s):
+            for j in range(s):
+                a[i, j] = equations[point, i, j] * 0.5**n_doublings
+                phi[i, j] = 1.0 if i == j else 0.0
+        for term in range(N_TERMS, 0, -1):
+            _product(a, phi, product)
+            for i in range(s):
+                for j in range(s):
+                    phi[i, j] = product[i, j] / (term + 1.0)
+                phi[i, i] += 1.0
+        _product(a, phi, whole)
+        for i in range(s):
+            whole[i, i] += 1.0
+        for _ in range(n_doublings):
+            _product(whole, phi, product)
+            for i in range(s):
+                for j in range(s):
+                    phi[i, j] = 0.5 * (phi[i, j] + product[i, j])
+            _product(whole, whole, product)
+            _put(whole.reshape(-1), product.reshape(-1))
+        for i in range(s):
+            _put(answer[point, i], whole[i])
+            for j in range(s, width):
+                moved = 0.0
+                for k in range(s):
+                    moved += phi[i, k] * equations[point, k, j]
+                answer[point, i, j] = moved
     return answer
 
 

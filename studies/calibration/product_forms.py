@@ -7,6 +7,7 @@ chance to a few per cent.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, product
 from math import comb
 from typing import NamedTuple, Self
@@ -100,8 +101,19 @@ class ProductSum:
 
     def at(self, theta: FloatArray) -> FloatArray:
         """Return the coefficient at parameters (n, p). Shape (n,)."""
-        values = values_of(self.powers, theta) @ self.amounts
+        products = np.ones((len(self.amounts), len(theta)))
+        for place, j, power in self._factors:
+            if power > 0:
+                products[place] *= theta[:, j]
+            else:
+                products[place] /= theta[:, j]
+        values = products.T @ self.amounts
         return 1.0 / values if self.is_reciprocal else values
+
+    @cached_property
+    def _factors(self) -> list[tuple[int, int, int]]:
+        """Product, parameter and power of every factor."""
+        return [(place, j, self.powers[place, j]) for place, j in np.argwhere(self.powers).tolist()]
 
 
 def shortest_product(products: Products, theta: FloatArray, value: float, amount: float) -> ProductSum | None:

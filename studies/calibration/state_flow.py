@@ -8,12 +8,10 @@ not matter. Points share the cores; each one's numbers are the same whatever it 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import accumulate
 from typing import Self
 
 import numpy as np
-from scipy.linalg import expm
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.pool.pool_model import available_cores
@@ -88,16 +86,16 @@ class LinearFlow:
         # One exponential for each combination of switches instead of one for each step.
         modes, mode_of = np.unique(self._switched(), axis=0, return_inverse=True)
         mode_of = mode_of.reshape(-1)
-        # Over a step the inputs are constant: states and inputs together move by one matrix exponential.
-        # Inputs count as states that do not move (Van Loan 1978, doi:10.1109/TAC.1978.1101743).
-        whole = np.zeros((len(modes), n, matrices.shape[-1], matrices.shape[-1]))
-        for rank, mode in enumerate(modes):
-            whole[rank, :, :n_states] = matrices[:, 0] + np.tensordot(matrices[:, 1:], mode, axes=(1, 0))
+        # Only who needs it waits for numba.
+        from studies.calibration.flow_steps import exponentials, linear_steps
+
+        # Over a step the inputs are constant.
+        whole = np.stack([matrices[:, 0] + np.tensordot(matrices[:, 1:], one, axes=(1, 0)) for one in modes])
         is_wrong = ~np.isfinite(whole).all(axis=(0, 2, 3))
-        # What is not finite must not reach expm; the states of these points become NaN below.
+        # The states of these points become NaN below.
         whole[:, is_wrong] = 0.0
         whole *= signals.step_s
-        steps = np.stack([_exponentials(one.tobytes(), one.shape) for one in whole])[:, :, :n_states]
+        steps = exponentials(whole.reshape(-1, *whole.shape[2:])).reshape(whole.shape)
         own, by_input = steps[..., :n_states], steps[..., n_states:]
         driven = np.concatenate([signals.driven, np.ones((len(signals.driven), 1))], axis=1)
         n_skipped = 1
@@ -115,9 +113,6 @@ class LinearFlow:
         for rank in range(len(modes)):
             is_so = mode_of == rank
             pushed[is_so] = (driven[is_so] @ by_input[rank]).reshape(-1, n_states, n)
-        # Only who needs it waits for numba.
-        from studies.calibration.flow_steps import linear_steps
-
         # One layout of arrays: each other one would be compiled anew.
         begin = np.ascontiguousarray(np.where(is_wrong, np.nan, start))
         states = linear_steps(begin, own, np.ascontiguousarray(mode_of), pushed)
@@ -134,12 +129,6 @@ class LinearFlow:
                 if term.is_difference:
                     matrices[:, mode, j, j] -= values
         return matrices
-
-
-@lru_cache(maxsize=8)
-def _exponentials(content: bytes, shape: tuple[int, ...]) -> FloatArray:
-    """Return the exponentials of matrices: experiments of one model ask for the same ones in turn."""
-    return expm(np.frombuffer(content).reshape(shape))
 
 
 @dataclass(frozen=True, eq=False)

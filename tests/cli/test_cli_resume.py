@@ -20,17 +20,21 @@ from project_for_tests import (
 
 from studies.paths import ProjectPaths
 from studies.tracking.quiet_mlflow import connect
+from studies.tuning.storage import open_storage
 from studies.tuning.study_results import read_studies
 
 LABEL = "office-smoke"
 
 
 def a_trial_has_ended(project: Path, text: str) -> bool:
-    """Notice the first trial of the command, read as any program may: without a lock."""
+    """Notice the first trial of the smaller size, read as any program may: without a lock."""
     file = project / "mlruns" / "optuna.db"
     try:
         with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
-            (n,) = database.execute("select count(*) from trials where state = 'COMPLETE'").fetchone()
+            (n,) = database.execute(
+                "select count(*) from trials join studies using (study_id) "
+                "where state = 'COMPLETE' and study_name like '%n0016%'"
+            ).fetchone()
     except sqlite3.Error:
         return False
     return bool(n)
@@ -116,9 +120,13 @@ def test_an_interrupted_run_ends_the_same(
     tmp_path: Path, whole_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     project = shutil.copytree(whole_run, tmp_path / "project")
-    # All that a run is interrupted in is undone; the simulations before are its own.
-    (project / "mlruns" / "optuna.db").unlink()
-    for file in (project / "mlruns" / "results" / LABEL).glob("calibrate-*"):
+    # All that a run is interrupted in is undone; the simulations before are its own, and its smaller size.
+    storage = open_storage(ProjectPaths(project))
+    for study in storage.get_all_studies():
+        if "n0016" in study.study_name:
+            storage.delete_study(study._study_id)
+    storage.engine.dispose()
+    for file in (project / "mlruns" / "results" / LABEL).glob("calibrate-n0016*"):
         file.unlink()
     # While workers tune, Ctrl-C is the harder test, and in a calibration a kill is.
     for how, is_moment in ((signal.SIGINT, a_trial_has_ended), (signal.SIGKILL, calibrates)):
