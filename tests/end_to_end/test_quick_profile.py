@@ -1,11 +1,11 @@
 """The whole job on the real FMU and the shipped measurement: the real command on small sizes."""
 
+import io
 import json
 import re
 import shlex
 import shutil
-import subprocess
-import sys
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands_shown_for_tests import WHY_NOT, give_what_commands_name, lines_shown
-from project_for_tests import REPOSITORY, add_case, process_environment
+from project_for_tests import REPOSITORY, add_case
 
 from simulation.case import load_case
 from simulation.measurement import Measurement
@@ -38,7 +38,7 @@ SHORTER = {
     "[tuning]\n": "[tuning]\nmax_epochs = 100\nbaseline = false\n",
     "maxiter = 200": "maxiter = 60",
 }
-COMMAND = (sys.executable, "-m", "studies", "run", "--json", "--trials", str(N_TRIALS))
+COMMAND = ("run", "--json", "--trials", str(N_TRIALS))
 PAGES = (
     "how-to/load-model.md",
     "mlflow.md",
@@ -90,19 +90,15 @@ def _short(profiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def first(profiles: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
-    """What a newcomer gets from one command."""
+    """What a newcomer gets from one command, without the start of its process."""
     root = tmp_path_factory.mktemp("project")
     (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     add_case(root, "office")
-    done = subprocess.run(
-        [*COMMAND, "--profile", str(profiles / "quick.toml"), "--n-train", *map(str, SIZES)],
-        env=process_environment(root),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return Done(root, json.loads(done.stdout))
+    words = [*COMMAND, "--profile", str(profiles / "quick.toml"), "--n-train", *map(str, SIZES)]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as out:
+        patch.chdir(root)
+        assert main(words) == 0
+    return Done(root, json.loads(out.getvalue()))
 
 
 def test_the_error_of_the_surrogate_falls_with_the_training_set(first: Done) -> None:
