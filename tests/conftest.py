@@ -52,11 +52,8 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return what `-n auto` means: two more than processors, as many tests wait for other processes.
-
-    With one more, two processors stood still for a quarter of the time.
-    """
-    return len(os.sched_getaffinity(0)) + 2
+    """Return what `-n auto` means: one more than processors, as many tests wait for other processes."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 # What takes minutes begins first: begun last, it would run alone at the end.
