@@ -91,10 +91,10 @@ class LinearFlow:
 
         # Over a step the inputs are constant.
         whole = np.stack([matrices[:, 0] + np.tensordot(matrices[:, 1:], one, axes=(1, 0)) for one in modes])
+        whole *= signals.step_s
         is_wrong = ~np.isfinite(whole).all(axis=(0, 2, 3))
         # The states of these points become NaN below.
         whole[:, is_wrong] = 0.0
-        whole *= signals.step_s
         steps = exponentials(whole.reshape(-1, *whole.shape[2:])).reshape(whole.shape)
         own, by_input = steps[..., :n_states], steps[..., n_states:]
         driven = np.concatenate([signals.driven, np.ones((len(signals.driven), 1))], axis=1)
