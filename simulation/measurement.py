@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray, digest_of
+from simulation.arrays import BoolArray, FloatArray, IntArray, digest_of
 from simulation.correlated_error import coloured, correlations, whitened
 from simulation.limits import Limits
 from simulation.robust_loss import RobustLoss
@@ -313,9 +313,15 @@ class Measurement:
 
     @property
     def output_of(self) -> IntArray:
-        """Output whose measurement each residual compares, -1 for those of limits. Shape (n_samples,)."""
-        outputs = [k if k in self.measured else -1 for k in range(len(self.samples))]
-        targets = np.array([*outputs, *(-1 for _ in self._with_limits_beside)], dtype=np.int64)
+        """Output that each residual is of, those of limits as well. Shape (n_samples,)."""
+        targets = np.array([*range(len(self.samples)), *self._with_limits_beside], dtype=np.int64)
+        return np.asarray(targets[self._by_target[self._order]])
+
+    @property
+    def is_of_limits(self) -> BoolArray:
+        """Which residuals are of limits, not of a measurement. Shape (n_samples,)."""
+        outputs = [k not in self.measured for k in range(len(self.samples))]
+        targets = np.array([*outputs, *(True for _ in self._with_limits_beside)], dtype=np.bool_)
         return np.asarray(targets[self._by_target[self._order]])
 
     @cached_property

@@ -22,7 +22,7 @@ from studies.calibration.first_design import first_points
 from studies.calibration.learned_ode import LearnedODE, enough_for_equations
 from studies.calibration.network_search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.process_groups import Part, ProcessGroups
 from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Features
@@ -81,6 +81,7 @@ class AdaptiveSearch:
         self._p = p = problem.space.n_parameters
         self._prior = problem.prior
         self._features = Features.of(problem.space)
+        self._parts = Part.parts_of(problem)
         self._recorder = recorder
         self._rng = rng
         self._u = self._unasked = np.empty((0, p))
@@ -91,7 +92,8 @@ class AdaptiveSearch:
         # None until a search has shown whether it explains enough.
         self._was_truncated: bool | None = None
         self._has_probed = False
-        self._hyper: tuple[FloatArray, ...] = ()
+        # Hyperparameters of the last fit, by the place of the part.
+        self._hyper = dict[int, tuple[FloatArray, ...]]()
         self._penalty_expected: Penalty | None = self._prior
         self._failed_hyper: FloatArray | None = None
         self._radius = SEARCH.radius
@@ -100,7 +102,9 @@ class AdaptiveSearch:
         self._confirmation = Confirmation()
         self.n_rounds = 0
         self.expected_gain = np.inf
-        self._n_known, n_design = 0, settings.design_size(p)
+        self._n_acting = problem.n_acting
+        self._n_whole_design = n_design = settings.design_size(problem.n_acting)
+        self._n_known = 0
         if known is not None and known.n:
             recorder.know(known)
             self._keep(known)
@@ -232,7 +236,7 @@ class AdaptiveSearch:
                 self._recorder.pay(self._n_alone)
             if self._believed is None:
                 self._forget_alone()
-            n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, len(design))
+            n_enough = min(math.ceil(enough_for_equations(self._n_acting) / q) * q, len(design))
             # Whole rounds: one with idle workers takes as long.
             n_next = math.ceil(LEAST_TO_LEARN / q) * q
             while n_asked < n_enough and not self._ode.is_sure:
@@ -313,7 +317,7 @@ class AdaptiveSearch:
             while not self._window.is_whole:
                 self._double_window()
             return
-        n_judged = self._n_first + self._settings.design_size(self._p)
+        n_judged = self._n_first + self._n_whole_design
         if self._was_truncated is None and self._objective.size >= n_judged and not self._is_falling:
             self._was_truncated = self._unexplained > SEARCH.unexplained
             if self._was_truncated:
@@ -325,7 +329,7 @@ class AdaptiveSearch:
     @property
     def _is_falling(self) -> bool:
         """Whether the last rounds have brought much."""
-        n_last = min(SEARCH.falling_rounds * self._settings.n_parallel, self._settings.design_size(self._p))
+        n_last = min(SEARCH.falling_rounds * self._settings.n_parallel, self._n_whole_design)
         return bool(self._objective.min() < SEARCH.falling * self._objective[:-n_last].min())
 
     @property
@@ -586,19 +590,27 @@ class AdaptiveSearch:
             self._network.note(answer)
 
     def _fit(self) -> ProcessGroups:
-        good = self._is_sane
-        process = ProcessGroups.fit(
-            self._features,
-            self._u[good],
-            self._window.seen(self._residuals[good]),
-            self._hyper,
-            # A search in a truncated window has to explain large components first.
-            balance=not self._was_truncated,
-            # Beside hundreds of rows from all over the box, errors near the best row would pass for noise.
-            n_noisy=int(good[: self._n_known].sum()) if self._n_known else None,
-        )
-        self._hyper = process.hyper
-        return process
+        good, fitted = self._is_sane, list[ProcessGroups]()
+        residuals, output_of = self._window.seen(self._residuals[good]), self._window.seen_of
+        for place, part in enumerate(self._parts):
+            is_its = np.isin(output_of, part.outputs)
+            # A truncated window may have nothing of an experiment.
+            if not is_its.any():
+                continue
+            process = ProcessGroups.fit(
+                part.features,
+                self._u[good],
+                residuals[:, is_its],
+                self._hyper.get(place, ()),
+                # A search in a truncated window has to explain large components first.
+                balance=not self._was_truncated,
+                # Beside hundreds of rows from all over the box,
+                # errors near the best row would pass for noise.
+                n_noisy=int(good[: self._n_known].sum()) if self._n_known else None,
+            )
+            self._hyper[place] = process.hyper
+            fitted.append(process)
+        return ProcessGroups.joined(fitted)
 
     def _weigh_failures(self, objective: float) -> None:
         """Learn where rows fail, and let that weigh as much as an objective. [unit squared]."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.experiments import Layout
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
@@ -58,11 +59,13 @@ class CalibrationProblem:
         model: The model that is asked.
         measurement: The target, on the model's output grid.
         prior: What is known about the parameters beforehand, or None.
+        layout: Which parameters act in which experiment, and on which outputs; None for one experiment.
     """
 
     model: ForwardModel
     measurement: Measurement
     prior: Prior | None = None
+    layout: Layout | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no model, and a measurement that it cannot be compared with."""
@@ -89,6 +92,12 @@ class CalibrationProblem:
     def space(self) -> ParameterSpace:
         """The parameters, their bounds and coordinates."""
         return self.model.parameter_space
+
+    @property
+    def n_acting(self) -> int:
+        """Parameters of the experiment that has most."""
+        experiments = () if self.layout is None else self.layout.experiments
+        return max((one.parameters.size for one in experiments), default=self.space.n_parameters)
 
     def on(self, model: ForwardModel) -> "CalibrationProblem":
         """Pose the same problem to another model of the same parameters."""

@@ -2,17 +2,21 @@
 
 The components that vary most, far from the measurement, say little of what moves the others, on which a
 calibration ends: one kernel for all follows the former. Components are orthogonal, so that errors add up.
+Where experiments have parameters that others lack, each has groups of its own, which depend on its own
+parameters alone (docs/notes/adaptive-search.md, Experiments).
 """
 
 import operator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import FloatArray, IntArray
 from studies.calibration.box_newton import Expansion
+from studies.calibration.problem import CalibrationProblem
 from studies.calibration.residual_kernel import N_INDEPENDENT, Belief, most_probable
 from studies.calibration.residual_process import Components, Features, ResidualProcess
 
@@ -28,6 +32,26 @@ CLOSER, PER_COMPONENT = 0.7, 2.0
 # A row's noise falls with its error, in a single process with the error's root: a search only has to know its
 # best rows, and far rows then distort their surroundings less.
 NOISE_POWER, NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
+
+
+class Part(NamedTuple):
+    """Residuals that depend on the same parameters.
+
+    Attributes:
+        features: The coordinates that their kernels see.
+        outputs: Columns of the outputs that they are of. Shape (k,).
+    """
+
+    features: Features
+    outputs: IntArray
+
+    @classmethod
+    def parts_of(cls, problem: CalibrationProblem) -> list[Self]:
+        """Return one part for each experiment, or one for all where every parameter acts in each."""
+        layout, space = problem.layout, problem.space
+        if layout is None or all(one.parameters.size == space.n_parameters for one in layout.experiments):
+            return [cls(Features.of(space), np.arange(len(problem.measurement.output_names)))]
+        return [cls(Features.of(space, one.parameters), one.outputs) for one in layout.experiments]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +109,20 @@ class ProcessGroups:
         through = zip(groups, hyper[1:], strict=True)
         processes = tuple(ResidualProcess.through(features, x, group, own) for group, own in through)
         return cls(processes, tuple(hyper))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Join the groups of parts of the residuals, whose errors add up by their numbers of residuals."""
+        m = sum(one.processes[0].n_residuals for one in parts)
+        processes = (process for one in parts for process in one.processes)
+        return cls(
+            # Per residual of all parts; a process counts per residual of its own.
+            tuple(
+                replace(one, n_residuals=m, variance=one.variance * (one.n_residuals / m))
+                for one in processes
+            ),
+            tuple(hyper for one in parts for hyper in one.hyper),
+        )
 
     def expand(self, u: FloatArray, caution: float) -> Expansion:
         """Expand the expected error around a point.

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.box_newton import Expansion
 from studies.calibration.residual_kernel import (
@@ -32,38 +32,44 @@ class Features:
     """The coordinates in which the process is even.
 
     Attributes:
-        log_width: Logarithm of upper by lower bound of the logarithmic parameters. Shape (l,). [1]
+        log_width: Logarithm of upper by lower bound of the l logarithmic parameters. Shape (l,). [1]
         is_log: Which parameters those are. Shape (p,).
+        acts: Which a parameters the process depends on, these among them. Shape (p,).
     """
 
     log_width: FloatArray
     is_log: BoolArray
+    acts: BoolArray
 
     @classmethod
-    def of(cls, space: ParameterSpace) -> Self:
-        """Return the features of a box."""
-        is_log = space.is_log
-        return cls(np.log(space.upper[is_log] / space.lower[is_log]), is_log)
+    def of(cls, space: ParameterSpace, parameters: IntArray | None = None) -> Self:
+        """Return the features of a box, or of some of its parameters."""
+        acts = np.zeros(space.n_parameters, dtype=np.bool_)
+        acts[slice(None) if parameters is None else parameters] = True
+        is_log = space.is_log & acts
+        return cls(np.log(space.upper[is_log] / space.lower[is_log]), is_log, acts)
 
     def at(self, u: FloatArray) -> FloatArray:
-        """Return the features of points, between -1/2 and 1/2. Shape (n, p + l). [1]."""
+        """Return the features of points, between -1/2 and 1/2. Shape (n, a + l). [1]."""
         # expm1 has all digits where a range is narrow and both differences are next to nothing.
         linear = np.expm1(self.log_width * u[..., self.is_log]) / np.expm1(self.log_width)
-        return np.concatenate([u, linear], axis=-1) - 0.5
+        return np.concatenate([u[..., self.acts], linear], axis=-1) - 0.5
 
     def pull_back(self, u: FloatArray, by_feature: FloatArray) -> FloatArray:
         """Turn derivatives by the features at one point into derivatives by its coordinates.
 
         Args:
             u: The point. Shape (p,). [1]
-            by_feature: Derivatives of n values. Shape (n, p + l).
+            by_feature: Derivatives of n values. Shape (n, a + l).
 
         Returns:
             Derivatives by the coordinates. Shape (n, p).
         """
         slope = self.log_width * np.exp(self.log_width * u[self.is_log]) / np.expm1(self.log_width)
-        by_u = by_feature[..., : u.size].copy()
-        by_u[..., self.is_log] += by_feature[..., u.size :] * slope
+        n_acting = by_feature.shape[-1] - slope.size
+        by_u = np.zeros((*by_feature.shape[:-1], u.size))
+        by_u[..., self.acts] = by_feature[..., :n_acting]
+        by_u[..., self.is_log] += by_feature[..., n_acting:] * slope
         return by_u
 
 

@@ -37,6 +37,11 @@ class TrajectoryFeatures:
         self._scale = self._scale / np.maximum(rms, np.sqrt(np.finfo(float).eps))
         self._measured = self._of(measured)
 
+    @property
+    def n_per_output(self) -> int:
+        """Features of one output; those of the first output come first."""
+        return SEARCH.n_blocks * N_KINDS
+
     def differences(self, simulated: FloatArray) -> FloatArray:
         """Return the features less the measured ones. Shape (..., f). [first output's unit].
 

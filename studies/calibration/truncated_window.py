@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.measurement import Measurement
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.switching import switches
@@ -32,7 +32,9 @@ class TruncatedWindow:
         # Compared with zero, all that is left is the measurement, scaled and ordered as residuals are.
         self._measured = signal = -plain.compared(zero)[0]
         # What limits say belongs to no measured output.
-        self._is_of: BoolArray = measurement.output_of == np.array(measurement.measured)[:, None]
+        self._output_of = measurement.output_of
+        is_of: BoolArray = self._output_of == np.array(measurement.measured)[:, None]
+        self._is_of = is_of & ~measurement.is_of_limits
         self._variance = np.array([signal[of].var() for of in self._is_of])
         # An output that varies less than its sensor errs, as a room at its set point, counts only alone.
         sensor = (measurement.scales * measurement.uncertainty)[list(measurement.measured)]
@@ -52,6 +54,13 @@ class TruncatedWindow:
         if self._features is not None:
             return self._features.differences(self._simulated(residuals))
         return residuals[..., : int(np.ceil(self._part * residuals.shape[-1]))]
+
+    @property
+    def seen_of(self) -> IntArray:
+        """Output of each value that `seen` returns. Shape (n,)."""
+        if self._features is not None:
+            return np.repeat(self._measurement.measured, self._features.n_per_output)
+        return self._output_of[: int(np.ceil(self._part * self._output_of.size))]
 
     def unexplained(self, residuals: FloatArray) -> float:
         """Return the mean squared error in the window by the variance measured, of the worst output. [1].

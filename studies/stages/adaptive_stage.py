@@ -137,7 +137,7 @@ def calibrate_adaptively(
     n_first = min(settings.n_parallel, MOST_AT_FIRST)
     opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
-        problem = CalibrationProblem(physical, case.measurement, prior_of(case))
+        problem = CalibrationProblem(physical, case.measurement, prior_of(case), case.layout)
         learned_ode = learned_ode_of(study.case, physical, problem)
         rows = known = None
         if start is not None:

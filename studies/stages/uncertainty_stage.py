@@ -126,7 +126,7 @@ def _judge(
     has_equations = calibration.result.believes_equations
     opened = open_watched_model(study) if has_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
-        problem = CalibrationProblem(physical, measurement, prior)
+        problem = CalibrationProblem(physical, measurement, prior, case.layout)
         y = physical.simulate(theta[None]).y[0]
         noise = noise_of(kind, measurement, y, n_parameters)
         posterior = Posterior(noise, prior)
@@ -136,7 +136,8 @@ def _judge(
         if learned_ode is not None and known.n:
             if known.n < LEAST_TO_LEARN:
                 # What the calibration simulated in single experiments is stored there.
-                n_first, rng = Adaptive.design_size(n_parameters), np.random.default_rng(study.profile.seed)
+                n_first = Adaptive.design_size(problem.n_acting)
+                rng = np.random.default_rng(study.profile.seed)
                 learned_ode.learn_alone(first_points(n_first, n_parameters, rng))
             learned_ode.note(known)
         if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):

@@ -95,7 +95,7 @@ def runs(case: Case, model: WatchedModel, seed: int) -> list[tuple[float, int]]:
         replace(one, time=its.time, values=np.interp(its.time, one.time, one.values))
         for one, its in zip(samples, known.samples, strict=True)
     )
-    problem = CalibrationProblem(model, replace(known, samples=samples))
+    problem = CalibrationProblem(model, replace(known, samples=samples), layout=case.layout)
     ode = learned_ode(posed(case, problem.measurement), model, problem)
     k = len(case.experiments)
     found = [

@@ -129,7 +129,7 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     y = model.simulate(space.from_unit(truth[None])).y[0]
     measurement = disturbed(case, y, options, rng)
     diary = Diary(model)
-    asked = CalibrationProblem(diary, measurement)
+    asked = CalibrationProblem(diary, measurement, layout=case.layout)
     ode = learned_ode(case, model, asked)
     found = Adaptive(max_calls=options.calibration_calls, ftol=1e-4).minimize(
         asked, seed=seed, learned_ode=ode

@@ -10,9 +10,10 @@ from problems_for_tests import TRUE_RC, Diary, Waves, problem_on, product_proble
 from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
 
-from simulation.arrays import FloatArray
+from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.forward_model import WrappedModel
+from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.expected_objective import Surrogate
@@ -221,10 +222,36 @@ def test_small_components_have_lengths_of_their_own() -> None:
     def residuals(at: FloatArray) -> FloatArray:
         return np.stack([30.0 * np.sin(5.0 * at[:, 0]), 0.3 * np.sin(5.0 * at[:, 1]), np.zeros(len(at))], 1)
 
-    features = Features(np.empty(0), np.zeros(2, dtype=np.bool_))
+    features = Features(np.empty(0), np.zeros(2, dtype=np.bool_), np.ones(2, dtype=np.bool_))
     error = {}
     for surrogate in (ResidualProcess, ProcessGroups):
         process = surrogate.fit(features, u, residuals(u))
         predicted = np.array([process.expand(point, 0.0).mse for point in fresh])
         error[surrogate] = np.median(np.abs(predicted - np.mean(residuals(fresh) ** 2, axis=1)))
     assert error[ProcessGroups] < 0.8 * error[ResidualProcess], error
+
+
+def test_an_experiment_depends_on_its_own_parameters_alone() -> None:
+    """Three experiments with a common parameter, and one of its own in each."""
+    rng, names = np.random.default_rng(0), ("a", "b@0", "b@1", "b@2")
+    space = ParameterSpace(tuple(Parameter(name, 1.0, 10.0, scale="log") for name in names))
+    u, fresh = rng.random((20, 4)), rng.random((50, 4))
+
+    def residuals(at: FloatArray) -> FloatArray:
+        own = [np.sin(4.0 * at[:, [0]] + np.arange(5.0)) * (1.0 + at[:, [k]] ** 2) for k in (1, 2, 3)]
+        return np.concatenate(own, axis=1)
+
+    def fitted(parameters: IntArray | None, columns: slice) -> ProcessGroups:
+        return ProcessGroups.fit(Features.of(space, parameters), u, residuals(u)[:, columns])
+
+    parts = [fitted(np.array([0, k + 1]), slice(5 * k, 5 * k + 5)) for k in range(3)]
+    joined, together = ProcessGroups.joined(parts), fitted(None, slice(None))
+    truth = np.mean(residuals(fresh) ** 2, axis=1)
+    errors = [np.abs(one.errors(fresh) - truth).mean() for one in (joined, together)]
+    assert errors[0] < 0.7 * errors[1], errors
+    for point in fresh[:5]:
+        there = joined.expand(point, 0.3)
+        numeric = approx_fprime(point, lambda v: joined.expand(v, 0.3).value, 1e-7)
+        atol = 1e-4 * np.abs(numeric).max()
+        np.testing.assert_allclose(there.gradient, numeric, rtol=GRADIENT_RTOL, atol=atol)
+        assert joined.errors(point[None])[0] == pytest.approx(there.mse)

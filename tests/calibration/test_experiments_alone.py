@@ -47,7 +47,7 @@ def calibrated(
     rows = watching_states(case).experiment_rows
     with closing(rows.open()) as parts:
         model = watched_model(case, kind(parts, rows, case.parameter_space))
-        problem = CalibrationProblem(model, case.measurement)
+        problem = CalibrationProblem(model, case.measurement, layout=case.layout)
         ode = learned_ode(case, model, problem)
         yield Adaptive(max_calls=max_calls).minimize(problem, seed=0, learned_ode=ode), ode
 
@@ -120,3 +120,15 @@ def test_a_small_budget_is_kept_and_holds_a_whole_row(tmp_path: Path) -> None:
         assert ode.n_alone == 0
         assert found.n_calls == 3
         assert np.isfinite(found.mse)
+
+
+def test_without_equations_own_parameters_do_not_make_a_first_design_larger(tmp_path: Path) -> None:
+    case = two_rooms_with(tmp_path, "random", "together", "door", "cooling")
+    rows = watching_states(case).experiment_rows
+    with closing(rows.open()) as parts:
+        model = watched_model(case, JoinedModel(parts, rows, case.parameter_space))
+        problem = CalibrationProblem(model, case.measurement, layout=case.layout)
+        assert (problem.n_acting, problem.space.n_parameters) == (9, 12)
+        found = Adaptive(max_calls=30).minimize(problem, seed=0)
+    # Four times the 28 rows that one experiment alone takes would be allowed.
+    assert found.mse == pytest.approx(0.05**2, rel=0.1)

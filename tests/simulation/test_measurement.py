@@ -191,7 +191,11 @@ def test_only_what_lies_beyond_a_limit_counts(is_alone: bool):
         parts = 2.0 * np.mean(np.square(excess)) + 3.0 * second + (0.0 if is_alone else 2.0 * first)
         assert error == pytest.approx(parts / (3.0 if is_alone else 5.0), rel=1e-12)
     assert measurement.measured == ((1,) if is_alone else (0, 1))
-    assert len(measurement.output_of) == measurement.n_samples == rows.shape[1] * 2 + (-2 if is_alone else 4)
+    n_times, n_limited = rows.shape[1], rows.shape[1] - 2
+    of = [np.count_nonzero(measurement.output_of == k) for k in (0, 1)]
+    assert of == [n_limited if is_alone else n_times + n_limited, n_times]
+    assert sum(of) == measurement.n_samples
+    assert measurement.is_of_limits.sum() == n_limited
 
 
 def test_limits_alone_are_no_target():

@@ -184,7 +184,7 @@ def posed(case: Case) -> Iterator[CalibrationProblem]:
     rows = with_states.experiment_rows
     with closing(rows.open()) as parts:
         joined = CountedExperiments(parts, rows, case.parameter_space)
-        yield CalibrationProblem(PosedModel(joined, case), case.measurement)
+        yield CalibrationProblem(PosedModel(joined, case), case.measurement, layout=case.layout)
 
 
 def brute_force(problem: CalibrationProblem, posed_as: Problem, made: Instance) -> Best:
