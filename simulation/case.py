@@ -25,17 +25,11 @@ from simulation.case_parts import (
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
 from simulation.case_reading import ReadExperiment, read_experiments
 from simulation.errors import InputError, errors_at
-from simulation.experiments import (
-    MARK,
-    Experiment,
-    ExperimentRows,
-    ExperimentsModel,
-    Layout,
-    joined_measurement,
-)
+from simulation.experiments import ExperimentRows, ExperimentsModel
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.fmi.variable import Value
+from simulation.layout import MARK, Experiment, Layout, joined_measurement
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.pool.execution import ExecutionPolicy

@@ -11,7 +11,8 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
-from simulation.experiments import Experiment, JoinedModel, Layout
+from simulation.experiments import JoinedModel
+from simulation.layout import Experiment, Layout
 from simulation.pool.pool_model import PoolModel
 from simulation.store.store import BLOCK_BYTES, SimulationStore
 from simulation.store.stored_model import StoredModel

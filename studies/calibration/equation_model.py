@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
-from simulation.experiments import Layout
+from simulation.layout import Layout
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.coefficient import Points

@@ -11,8 +11,9 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.case import Case
-from simulation.experiments import Experiment, JoinedModel, Layout
+from simulation.experiments import JoinedModel
 from simulation.forward_model import ForwardModel
+from simulation.layout import Experiment, Layout
 from simulation.parameters import ParameterSpace
 from simulation.store.joined_store import StoredExperiments
 from simulation.trajectories import Trajectories

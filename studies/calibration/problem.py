@@ -6,8 +6,8 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.experiments import Layout
 from simulation.forward_model import ForwardModel
+from simulation.layout import Layout
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories

@@ -12,8 +12,8 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.experiments import MARK, Experiment, Layout
 from simulation.forward_model import ForwardModel, WrappedModel
+from simulation.layout import MARK, Experiment, Layout
 from simulation.trajectories import Trajectories, wrong_output
 
 # A hundred points of a thousand steps take 0.03 s with 8 states, 0.9 s with 64; a

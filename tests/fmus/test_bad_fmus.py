@@ -20,8 +20,9 @@ from bad_fmus import (
 )
 
 from simulation import InputError, Parameter, ParameterSpace, PoolModel
-from simulation.experiments import Experiment, ExperimentRows, JoinedModel, Layout
+from simulation.experiments import ExperimentRows, JoinedModel
 from simulation.fmi.fmu import FmuSettings
+from simulation.layout import Experiment, Layout
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.fork_server import end_fork_servers
 from simulation.scenario import Scenario
