@@ -72,7 +72,6 @@ LONGEST = (
     "test_doctor",
     "test_package",
     "test_browser",
-    "test_safe_start",
     "test_pool_executors",
     "test_pool_killed",
     "test_state_functions",

@@ -24,6 +24,7 @@ SMOKE_RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jo
 DAY = ("--window", "1-2")  # to say how sure it is takes a simulation's length of time
 LIMIT_S = 300.0
 AGAIN_S = 60.0  # then Ctrl-C is pressed again
+HOSTILE = ("mlflow", "multiprocessing", "numpy", "pickle", "random", "signal", "socket", "uvicorn")
 
 
 class Answer:
@@ -149,9 +150,20 @@ def make_validated_project(root: Path) -> Path:
     return root
 
 
+def make_hostile(folder: Path) -> Path:
+    """Make a working folder with files named like modules; one that is imported makes a file `caught`."""
+    folder.mkdir()
+    for name in HOSTILE:
+        trap = f"import os\nos.open({str(folder / 'caught')!r}, os.O_CREAT)\nraise SystemExit('{name} ran')\n"
+        (folder / f"{name}.py").write_text(trap)
+    return folder
+
+
 def process_environment(project: Path) -> dict[str, str]:
     """Return the environment of a command in a project, in a process of its own."""
-    return os.environ | {
+    # A command that ran in this process has set it.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    return environment | {
         "STUDIES_ROOT": str(project),
         "PYTHONPATH": str(REPOSITORY),
         "OMP_NUM_THREADS": "1",
@@ -168,13 +180,19 @@ def finish(project: Path) -> None:
 
 
 def interrupt(
-    words: Sequence[str], project: Path, how: signal.Signals, is_moment: Callable[[Path, str], bool]
+    words: Sequence[str],
+    project: Path,
+    how: signal.Signals,
+    is_moment: Callable[[Path, str], bool],
+    *,
+    folder: Path | None = None,
 ) -> tuple[int, str]:
     """Start a command, interrupt it at a moment, and return its exit code and what it said."""
     log = project / "stderr.txt"
     with log.open("w") as stderr:
         process = subprocess.Popen(
             words,
+            cwd=folder or project,
             env=process_environment(project),
             stdout=subprocess.DEVNULL,
             stderr=stderr,

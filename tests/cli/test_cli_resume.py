@@ -15,6 +15,7 @@ from project_for_tests import (
     copy_of,
     finish,
     interrupt,
+    make_hostile,
     stored_simulations,
 )
 
@@ -128,10 +129,13 @@ def test_an_interrupted_run_ends_the_same(
     storage.engine.dispose()
     for file in (project / "mlruns" / "results" / LABEL).glob("calibrate-n0016*"):
         file.unlink()
+    # No process imports what lies in the working folder, as workers of Python's own would.
+    folder = make_hostile(tmp_path / "hostile")
     # While workers tune, Ctrl-C is the harder test, and in a calibration a kill is.
     for how, is_moment in ((signal.SIGINT, a_trial_has_ended), (signal.SIGKILL, calibrates)):
         before = finished_work(project)
-        code, log = interrupt((*SMOKE_RUN[:-1], "1"), project, how, is_moment)
+        code, log = interrupt((*SMOKE_RUN[:-1], "1"), project, how, is_moment, folder=folder)
+        assert not (folder / "caught").exists()
         if how is signal.SIGINT:
             # Both are 130 to a shell: CPython ends as killed by SIGINT where Ctrl-C came inside an exec().
             assert code in (130, -signal.SIGINT), log
