@@ -28,7 +28,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture(params=[1300, 420])
+@pytest.fixture(scope="module", params=[1300, 420])
 def page(browser: "Browser", report: Path, request: pytest.FixtureRequest) -> "Iterator[Page]":
     """The page in a window so wide; nothing is asked of the network, and nothing is complained of."""
     opened = browser.new_page(viewport={"width": request.param, "height": 900})
