@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import psutil
@@ -20,14 +19,19 @@ def hostile(tmp_path: Path) -> Path:
     return make_hostile(tmp_path / "hostile")
 
 
-def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path, project: Path) -> None:
-    """As the script that pip writes; test_cli_resume and test_browser look at tuning and at the server."""
-    add_case(project)
-    script = project / "studies"
-    script.write_text(
+def script(project: Path, *words: str) -> tuple[str, ...]:
+    """Return a command in the form of the script that pip writes."""
+    file = project / "studies"
+    file.write_text(
         "import sys\nfrom studies.cli import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
     )
-    words = (sys.executable, str(script), "simulate", "wall", "--profile", "smoke", "--jobs", "2")
+    return sys.executable, str(file), *words
+
+
+def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path, project: Path) -> None:
+    """test_cli_resume looks at the workers of tuning."""
+    add_case(project)
+    words = script(project, "simulate", "wall", "--profile", "smoke", "--jobs", "2")
     done = subprocess.run(
         words, cwd=hostile, env=process_environment(project), capture_output=True, text=True, timeout=LIMIT_S,
         check=False,
@@ -36,16 +40,26 @@ def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path,
     assert not (hostile / "caught").exists()
 
 
-def test_the_server_ends_with_a_command_that_is_killed(project: Path) -> None:
-    words = (sys.executable, "-m", "studies", "ui")
-    with subprocess.Popen(words, env=process_environment(project), stdout=subprocess.DEVNULL) as command:
-        process, deadline = psutil.Process(command.pid), time.monotonic() + LIMIT_S
-        while not (started := process.children(recursive=True)):
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        command.kill()
+def test_no_server_imports_from_the_working_folder_or_outlives_its_command(
+    hostile: Path, project: Path
+) -> None:
+    with subprocess.Popen(
+        script(project, "ui"), cwd=hostile, env=process_environment(project), stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True,
+    ) as server:  # fmt: skip
+        assert server.stdout is not None
+        said = []
+        for line in server.stdout:
+            said.append(line)
+            if "http" in line or len(said) > 20:
+                break
+        started = psutil.Process(server.pid).children(recursive=True)
+        server.kill()
+    assert any("http" in line for line in said), said
+    assert not (hostile / "caught").exists()
+    assert started
     _, left = psutil.wait_procs(started, timeout=30.0)
-    assert not left
+    assert not left, "the server ends with the command, also where that is killed"
 
 
 def test_the_trap_catches_who_does_not_take_care(hostile: Path) -> None:
