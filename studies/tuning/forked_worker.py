@@ -16,9 +16,15 @@ from simulation.pool.fork_server import ONE_THREAD
 from simulation.pool.safe_start import start_safely
 from studies.paths import ProjectPaths
 
-# These imports take 7 s of processor time.
+# These imports take 8 s of processor time. Optuna and MLflow import the last ones when they open a store.
+PRELOADED = (
+    "studies.tuning.worker",
+    "optuna.storages._rdb.models",
+    "mlflow.store.tracking.sqlalchemy_workspace_store",
+    "mlflow.store.model_registry.sqlalchemy_workspace_store",
+)
 _FORKED = multiprocessing.get_context("forkserver")
-_FORKED.set_forkserver_preload(["studies.tuning.worker"])
+_FORKED.set_forkserver_preload([*PRELOADED])
 
 
 class ForkedWorker:

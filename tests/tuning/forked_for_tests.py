@@ -12,12 +12,13 @@ from sqlalchemy import Engine, event
 from studies.paths import ProjectPaths
 from studies.tracking.runs import RunStore
 from studies.tuning.declaration import Declaration
+from studies.tuning.forked_worker import PRELOADED
 from studies.tuning.storage import open_storage
 from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 FORKED = multiprocessing.get_context("forkserver")
-FORKED.set_forkserver_preload(["__main__", "studies.tuning.tune_studies", "studies.tuning.worker"])
+FORKED.set_forkserver_preload(["__main__", "studies.tuning.tune_studies", *PRELOADED])
 
 
 def run_worker(paths: ProjectPaths, name: str) -> None:
