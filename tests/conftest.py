@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mlflow_store_for_tests
 import pytest
 from alembic.util import pyfiles
 from made_once import made_once
@@ -84,6 +85,28 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first, for processes that test side by side."""
     place = {name: at for at, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+def _keep_what_is_there() -> None:
+    """Take what exists out of the garbage collection, which would look at a million objects each time."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Leave out what the imports have made."""
+    _keep_what_is_there()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Leave out all: Pytest collects ten times at its end, and Python once more."""
+    _keep_what_is_there()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_empty_store(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Say where the empty MLflow store is made that projects begin with."""
+    mlflow_store_for_tests.factory = tmp_path_factory
 
 
 @pytest.fixture(scope="session")

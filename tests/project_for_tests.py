@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas
+import psutil
 import pytest
 from made_up_recording import write_csv_files
 from mlflow_store_for_tests import give_store
@@ -213,4 +214,15 @@ def interrupt(
         else:
             process.kill()
         code = process.wait(LIMIT_S)
+    # Its workers are of its session; the one that simulations are forked from is not.
+    left = [one for one in psutil.process_iter() if _session(one) == process.pid]
+    assert not psutil.wait_procs(left, timeout=20.0)[1], "a process outlives its command"
     return code, log.read_text()
+
+
+def _session(process: psutil.Process) -> int | None:
+    """Return the number of a process's session, None where it has just ended."""
+    try:
+        return os.getsid(process.pid)
+    except ProcessLookupError:
+        return None

@@ -1,13 +1,14 @@
 """Results as files: a frozen dataclass goes to JSON and back, its arrays to an .npz file beside it."""
 
+import functools
 import json
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,14 @@ WITH_ARRAYS = ConfigDict(arbitrary_types_allowed=True)
 Error = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value)]
 """A number that is infinite where a simulation failed; JSON has null there."""
 T = TypeVar("T")
+# To make one takes longer than to read with it.
+_reader = cast("Callable[[type], TypeAdapter[Any]]", functools.cache(TypeAdapter))
 
 
 def plain(result: Any) -> dict[str, Any]:
     """Return a dataclass as JSON values without arrays and absent parts; null is not finite."""
     absent = {one.name for one in fields(result) if one.default is None and getattr(result, one.name) is None}
-    written = TypeAdapter(type(result)).dump_json(result, exclude={*arrays_of(result), *absent})
+    written = _reader(type(result)).dump_json(result, exclude={*arrays_of(result), *absent})
     return json.loads(written)  # type: ignore[no-any-return]
 
 
@@ -54,9 +57,10 @@ def rebuilt(
     """
     whole = {**content, **(arrays or {})} if isinstance(content, dict) else content
     try:
-        return TypeAdapter(kind).validate_python(whole)
+        result: T = _reader(kind).validate_python(whole)
     except ValidationError as error:
         raise InputError(f"{owner}: {in_one_line(error)}; use the version that wrote it") from None
+    return result
 
 
 def read_json(file: Path) -> dict[str, Any] | None:

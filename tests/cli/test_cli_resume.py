@@ -19,8 +19,10 @@ from project_for_tests import (
     stored_simulations,
 )
 
+from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.tracking.quiet_mlflow import connect
+from studies.tracking.runs import RunStore
 from studies.tuning.storage import open_storage
 from studies.tuning.study_results import read_studies
 
@@ -104,6 +106,21 @@ def ended_trials(project: Path) -> dict[str, object]:
     return {f"{study_id}/{number}": ended for study_id, number, ended in rows}
 
 
+def assert_stopped(project: Path) -> None:
+    """Check that the smaller size was not tuned to the end, and that Optuna and MLflow know it."""
+    (one,) = (
+        one
+        for one in read_studies(ProjectPaths(project))
+        if one.spec.n_train == 16 and not one.spec.is_baseline
+    )
+    assert one.count("running") == 0
+    assert 1 <= one.n_ended < one.n_planned
+    assert open_runs(project) == []
+    # The first one is of the run that this project was copied from.
+    *_, run = RunStore(ProjectPaths(project)).find(LABEL, {"role": "study", "study": one.spec.name})
+    assert run.info.status == "KILLED"
+
+
 def test_a_second_run_finds_everything_finished(
     whole_run: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,6 +159,9 @@ def test_an_interrupted_run_ends_the_same(
             assert log.splitlines()[-1].startswith("studies: interrupted"), log
             assert "studies run --profile smoke --jobs 1" in log.splitlines()[-1]
             assert "Traceback" not in log
+            assert_stopped(project)
+            # The calibrations are all that is left for the other one.
+            assert main(("tune", *SMOKE_RUN[4:], "-q")) == 0
         else:
             assert code == -signal.SIGKILL
         after = finished_work(project)

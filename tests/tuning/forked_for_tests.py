@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import signal
-import sys
 from multiprocessing.queues import SimpleQueue
 from typing import Any
 
@@ -33,12 +32,8 @@ def make_stores(paths: ProjectPaths, answer: "SimpleQueue[str]") -> None:
 
 
 def run_command(paths: ProjectPaths, spec: Declaration, n_trials: int) -> None:
-    """Tune as `studies tune` does, with a process group of its own as a shell gives it."""
-    os.setsid()
-    try:
-        tune([spec], paths=paths, n_trials=n_trials, n_jobs=1)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Tune as `studies tune` does."""
+    tune([spec], paths=paths, n_trials=n_trials, n_jobs=1)
 
 
 def is_killed(paths: ProjectPaths, name: str, n_writes: int) -> bool:
