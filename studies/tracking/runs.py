@@ -5,35 +5,32 @@ module that speaks to MLflow's client.
 """
 
 import math
+import os
 import re
+import sys
+import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+import pelsvae
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from studies.paths import ProjectPaths, folder_name, opening
+from studies.report.wording import difference_unit
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow
-
-if TYPE_CHECKING:
-    from studies.stages.pipeline import Study
-
-
-import tempfile
-import warnings
-from importlib.metadata import version
-from typing import TYPE_CHECKING
-
-import pelsvae
-from studies.report.wording import difference_unit
 from studies.tuning.declaration import ALIAS, Declaration
 
 if TYPE_CHECKING:
     from pelsvae.surrogate import Surrogate
+    from studies.stages.pipeline import Study
     from studies.tuning.study_results import TrialView
 
 
@@ -251,6 +248,22 @@ def register_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
         client.set_registered_model_alias(name, ALIAS, str(number))
 
 
+@contextmanager
+def _surroundings_restored() -> Iterator[None]:
+    """Undo what MLflow changes while it logs a model, once it has.
+
+    It leaves the model's code on the path, in a temporary folder that anybody may make again once it is gone,
+    and names the experiment in the environment. With either, other processes would be started to simulate.
+    """
+    places, environment = sys.path.copy(), os.environ.copy()
+    try:
+        yield
+    finally:
+        sys.path[:] = places
+        for name in os.environ.keys() - environment.keys():
+            del os.environ[name]
+
+
 def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     """Log the surrogate as a model of the trial's run, register it, and return its version.
 
@@ -259,7 +272,8 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     import numpy as np
     import pandas as pd
 
-    with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
+    scratch_folder = tempfile.TemporaryDirectory(prefix="studies-model-")
+    with warnings.catch_warnings(), scratch_folder as scratch, _surroundings_restored():
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         import mlflow.pyfunc
         from mlflow.models import Model, ModelSignature

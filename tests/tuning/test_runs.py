@@ -1,6 +1,8 @@
 """Trials as MLflow shows them, to its own clients: runs, the best per size, models, a moved project."""
 
+import os
 import shutil
+import sys
 import time
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from toy_study_for_tests import (
 from studies.paths import ProjectPaths
 from studies.tracking.artifacts import ProjectArtifacts
 from studies.tracking.quiet_mlflow import connect
-from studies.tracking.runs import RunStore, load_surrogate
+from studies.tracking.runs import RunStore, load_surrogate, register_best
 from studies.tuning.storage import open_storage
 from studies.tuning.study_results import read_studies
 from studies.tuning.tune_studies import tune
@@ -104,6 +106,14 @@ def test_the_best_of_each_size_is_found_in_one_call_also_after_more_trials(copie
             f"{LABEL}-n{int(row['params.n_train']):04d}", "champion"
         )
         assert version.run_id == found.run_id
+
+
+def test_a_registration_leaves_path_and_environment_as_they_were(copied: ProjectPaths) -> None:
+    baseline = next(one for one in read_studies(copied) if one.spec.is_baseline)
+    assert baseline.best is not None
+    runs, before = RunStore(copied), (sys.path.copy(), dict(os.environ))
+    register_best(runs, baseline.spec, baseline.best)  # which tuning does for networks alone
+    assert (sys.path, dict(os.environ)) == before
 
 
 @pytest.mark.parametrize("n_train", [16, 24])
