@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import mlflow_store_for_tests
 import pytest
+from _pytest import runner
 from alembic.util import pyfiles
 from made_once import made_once
 
@@ -30,19 +31,13 @@ for library in ("OMP", "MKL", "OPENBLAS"):
 # Processes that simulate are forked from one that has imported what they need. Another environment needs
 # another one of these, which takes a second: so no test has a variable of its own without need.
 os.environ.pop("STUDIES_ROOT", None)
+runner._update_current_test_var = lambda item, when: None  # it says in the environment which test runs
 
 
 # Alembic runs the files of MLflow's 50 schema versions again for every new database, 0.3 s each time.
 _load, _load_once = pyfiles.load_module_py, functools.cache(pyfiles.load_module_py)
 pyfiles.load_module_py = lambda name, path: (_load if name == "env_py" else _load_once)(name, path)
 
-
-def _leave_pytest_unsaid() -> None:
-    os.environ.pop("PYTEST_CURRENT_TEST", None)
-
-
-pytest_fixture_setup = pytest.hookimpl(tryfirst=True)(_leave_pytest_unsaid)
-pytest_pyfunc_call = pytest.hookimpl(tryfirst=True)(_leave_pytest_unsaid)
 
 # Tests look for what is left in the temporary folder, so processes that test side by side have one each.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
