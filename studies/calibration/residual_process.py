@@ -7,6 +7,7 @@ proportional to a parameter, others to its logarithm, and the kernel's lengths s
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -199,7 +200,7 @@ class ResidualProcess:
             features, x, hyper, factor, coefficients, components.level, components.outside, variance, m
         )
 
-    @property
+    @cached_property
     def _weights(self) -> tuple[FloatArray, float]:
         """Inverse squared lengths of the features, shape (f,) [1], and the squared slope [1]."""
         return np.exp(-2.0 * self.hyper[:-2]), float(np.exp(2.0 * self.hyper[-2]))
@@ -220,14 +221,16 @@ class ResidualProcess:
             u: The point. Shape (p,). [1]
             caution: Part of the predictive variance that is added to the squared mean. [1]
         """
-        weights, slope = self._weights
-        x = self.features.at(u)
         k, dk = self.kernels(u)
         residuals, jacobian = self.level + k @ self.coefficients, dk.T @ self.coefficients
         mse = (self.outside + float(residuals @ residuals)) / self.n_residuals
         gradient = 2.0 * (jacobian @ residuals) / self.n_residuals
         # Gauss-Newton: without the residuals' own curvature it is never indefinite.
         hessian = 2.0 * (jacobian @ jacobian.T) / self.n_residuals
+        if caution == 0.0:  # half of the work is the variance
+            return Expansion(mse, mse, gradient, hessian)
+        weights, slope = self._weights
+        x = self.features.at(u)
         # Curvature of the variance: twice the covariance of the slopes, and a rest that vanishes at the data.
         known, dknown = self.inverse_factor @ k, self.inverse_factor @ dk
         # Beside a row, rounding may make it negative.
