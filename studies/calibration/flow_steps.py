@@ -327,35 +327,26 @@ def exponentials(equations: FloatArray) -> FloatArray:
 
 
 @compiled
-def linear_steps(start: FloatArray, own: FloatArray, mode_of: IntArray, pushed: FloatArray) -> FloatArray:
-    """Move states of n points by one matrix product and one shift per step.
+def linear_steps(states: FloatArray, own: FloatArray, mode_of: IntArray) -> None:
+    """Move states of n points by one matrix product and one shift per step, in place.
 
     A point's sums are in the order of the states, so that its digits do not depend on the points beside.
 
     Args:
-        start: First states. Shape (s, n).
+        states: The first states, then what inputs add in every step, which become the states after it. Shape
+            (m + 1, s, n).
         own: Matrices, by mode, state and changed state. Shape (w, s, s, n). [1]
         mode_of: Mode of every step. Shape (m,).
-        pushed: What inputs add in every step. Shape (m, s, n).
-
-    Returns:
-        The states, the first ones too. Shape (m + 1, s, n).
     """
-    n_steps, n_states, n = pushed.shape
-    states = np.empty((n_steps + 1, n_states, n))
-    for state in range(n_states):
-        for point in range(n):
-            states[0, state, point] = start[state, point]
-    for step in range(n_steps):
+    n_all, n_states, n = states.shape
+    total = np.empty(n)
+    for step in range(n_all - 1):
         mode = mode_of[step]
         for moved in range(n_states):
             for point in range(n):
-                states[step + 1, moved, point] = own[mode, 0, moved, point] * states[step, 0, point]
+                total[point] = own[mode, 0, moved, point] * states[step, 0, point]
             for state in range(1, n_states):
                 for point in range(n):
-                    states[step + 1, moved, point] += (
-                        own[mode, state, moved, point] * states[step, state, point]
-                    )
+                    total[point] += own[mode, state, moved, point] * states[step, state, point]
             for point in range(n):
-                states[step + 1, moved, point] += pushed[step, moved, point]
-    return states
+                states[step + 1, moved, point] += total[point]

@@ -8,6 +8,7 @@ not matter. Points share the cores; each one's numbers are the same whatever it 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import accumulate
 from typing import Self
 
@@ -56,20 +57,23 @@ class LinearFlow:
         if is_curved or any(factor < len(signals.states) for switch in switches for factor in switch):
             return None
         flow = cls(signals, sums, tuple(switches))
-        return flow if len(np.unique(flow._switched(), axis=0)) <= MOST_MODES else None
+        return flow if len(flow._modes[0]) <= MOST_MODES else None
 
     @property
     def n_operations(self) -> int:
         """About what a solution takes."""
         n_states, n_all = len(self.signals.states), len(self.signals.states) + len(self.signals.inputs) + 1
-        n_modes = len(np.unique(self._switched(), axis=0))
+        n_modes = len(self._modes[0])
         return len(self.signals.driven) * n_states * n_all + EXPONENTIAL * n_modes * n_all**3
 
-    def _switched(self) -> FloatArray:
-        """Return what terms are multiplied with over the steps. Shape (m, w)."""
+    @cached_property
+    def _modes(self) -> tuple[FloatArray, IntArray]:
+        """Values of what terms are multiplied with, (k, w), and which of them every step has, (m,)."""
         driven, n_states = self.signals.driven, len(self.signals.states)
         products = [driven[:, np.array(switch) - n_states].prod(axis=1) for switch in self.switches]
-        return np.array(products).reshape(-1, len(driven)).T
+        switched = np.array(products).reshape(-1, len(driven)).T
+        modes, mode_of = np.unique(switched, axis=0, return_inverse=True)
+        return modes, mode_of.reshape(-1)
 
     def states(self, start: FloatArray, rates: Sequence[FloatArray]) -> FloatArray:
         """Solve the equations.
@@ -84,8 +88,7 @@ class LinearFlow:
         signals, n_states = self.signals, len(self.signals.states)
         matrices, n = self._matrices(rates), start.shape[1]
         # One exponential for each combination of switches instead of one for each step.
-        modes, mode_of = np.unique(self._switched(), axis=0, return_inverse=True)
-        mode_of = mode_of.reshape(-1)
+        modes, mode_of = self._modes
         # Only who needs it waits for numba.
         from studies.calibration.flow_steps import exponentials, linear_steps
 
@@ -109,13 +112,18 @@ class LinearFlow:
         # Points are the last axis: a step of all of them is a few operations on whole arrays.
         own = np.ascontiguousarray(own.transpose(0, 3, 2, 1))
         by_input = by_input.transpose(0, 3, 2, 1).reshape(len(modes), -1, n_states * n)
-        pushed = np.empty((len(driven), n_states, n))
-        for rank in range(len(modes)):
-            is_so = mode_of == rank
-            pushed[is_so] = (driven[is_so] @ by_input[rank]).reshape(-1, n_states, n)
+        # First what inputs add in every step, which the steps then add to the states before.
+        states = np.empty((len(driven) + 1, n_states, n))
+        states[0] = np.where(is_wrong, np.nan, start)
+        pushed = states[1:].reshape(len(driven), -1)
+        if len(modes) == 1:
+            np.matmul(driven, by_input[0], out=pushed)
+        else:
+            for rank in range(len(modes)):
+                is_so = mode_of == rank
+                pushed[is_so] = driven[is_so] @ by_input[rank]
         # One layout of arrays: each other one would be compiled anew.
-        begin = np.ascontiguousarray(np.where(is_wrong, np.nan, start))
-        states = linear_steps(begin, own, np.ascontiguousarray(mode_of), pushed)
+        linear_steps(states, own, np.ascontiguousarray(mode_of))
         return states[:: signals.every // n_skipped].transpose(2, 0, 1)
 
     def _matrices(self, rates: Sequence[FloatArray]) -> FloatArray:

@@ -56,23 +56,29 @@ class Term(NamedTuple):
     factors: tuple[int, ...] = ()
     function: str = ""
 
-    def values(self, columns: FloatArray, own: FloatArray) -> FloatArray:
+    def values(self, x: FloatArray, inputs: FloatArray, own: int) -> FloatArray:
         """Return the term over time.
 
         Args:
-            columns: States and inputs. Shape (..., t, s + q).
-            own: The state itself. Shape (..., t).
+            x: States. Shape (..., t, s).
+            inputs: Shape (t, q).
+            own: Position of the state itself.
 
         Returns:
-            Shape (..., t).
+            Shape (..., t), or (t,) of inputs alone.
         """
-        values = columns[..., self.column] if self.column >= 0 else np.ones(columns.shape[:-1])
+        n_states = x.shape[-1]
+
+        def column(place: int) -> FloatArray:
+            return x[..., place] if place < n_states else inputs[..., place - n_states]
+
+        values = column(self.column) if self.column >= 0 else np.ones(len(inputs))
         if self.is_difference:
-            values = values - own
+            values = values - x[..., own]
         if self.function:
             values = FUNCTIONS[self.function](values)
         for factor in self.factors:
-            values = values * columns[..., factor]
+            values = values * column(factor)
         return values
 
 
@@ -90,9 +96,10 @@ class Sum:
 
     def values(self, x: FloatArray, inputs: FloatArray) -> FloatArray:
         """Return the terms over time: states (..., t, s), inputs (t, q). Shape (..., t, f)."""
-        columns = np.concatenate([x, np.broadcast_to(inputs, (*x.shape[:-1], inputs.shape[-1]))], axis=-1)
-        own = x[..., max(self.own, 0)]
-        return np.stack([term.values(columns, own) for term in self.terms], axis=-1)
+        values = np.empty((*x.shape[:-1], len(self.terms)))
+        for place, term in enumerate(self.terms):
+            values[..., place] = term.values(x, inputs, max(self.own, 0))
+        return values
 
 
 def candidates(signals: StateSignals, own: int) -> list[Term]:
