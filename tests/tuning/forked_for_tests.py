@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import sys
 from multiprocessing.queues import SimpleQueue
 from typing import Any
 
@@ -23,6 +24,13 @@ FORKED.set_forkserver_preload(["__main__", "studies.tuning.tune_studies", *PRELO
 def run_worker(paths: ProjectPaths, name: str) -> None:
     """Be a worker."""
     Worker(paths, name).run()
+
+
+def imports_of_worker(paths: ProjectPaths, name: str, answer: "SimpleQueue[list[str]]") -> None:
+    """Answer with the modules that a worker imports itself."""
+    before = {*sys.modules}
+    Worker(paths, name).run()
+    answer.put(sorted({*sys.modules} - before))
 
 
 def make_stores(paths: ProjectPaths, answer: "SimpleQueue[str]") -> None:

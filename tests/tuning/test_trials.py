@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from forked_for_tests import FORKED, run_worker
+from forked_for_tests import FORKED, imports_of_worker, run_worker
 from optuna.trial import TrialState
 from toy_study_for_tests import (
     N_TUNED,
@@ -101,6 +101,14 @@ def test_two_workers_of_a_study_run_no_trial_too_many(project: ProjectPaths) -> 
     (found,) = tune([spec], paths=project, n_trials=5, n_jobs=2, n_parallel=2)
     assert found.n_ended == 5
     assert_mlflow_agrees(project, spec.label, spec.name)
+
+
+def test_a_worker_imports_little_itself(copied: ProjectPaths) -> None:
+    answer = FORKED.SimpleQueue()
+    worker = FORKED.Process(target=imports_of_worker, args=(copied, SPECS[0].name, answer))
+    worker.start()
+    assert len(answer.get()) < 100  # of 400 that opening both stores takes
+    worker.join()
 
 
 def test_a_diverging_trial_fails_with_its_reason_and_costs_no_other(project: ProjectPaths) -> None:
