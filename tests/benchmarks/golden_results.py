@@ -29,10 +29,11 @@ SEEDS = (0, 1, 2)
 
 def rows_of(case: Case, n_rows: int) -> dict[str, str]:
     """Return digests of what a uniform design of this case answers, in one process and in two."""
-    theta = uniform_design(case.parameter_space, n_rows, seed=0)
-    with case.make_model() as alone:
+    # Of several experiments the first one's rows stand for all.
+    with case.open_model() as alone:
+        theta = uniform_design(alone.parameter_space, n_rows, seed=0)
         answer = alone.simulate(theta)
-    with PoolModel(case.make_model, 2) as shared:
+    with PoolModel(case.settings.open, 2) as shared:
         in_two = shared.simulate(theta)
     return {
         "case": case.digest,
