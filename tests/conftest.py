@@ -47,11 +47,6 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     atexit.register(shutil.rmtree, own, ignore_errors=True)
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """Return what `-n auto` means: one more than processors, as many tests wait for other processes."""
-    return len(os.sched_getaffinity(0)) + 1
-
-
 # What takes minutes begins first: begun last, it would run alone at the end.
 LONGEST = (
     "test_quick_profile",
