@@ -5,7 +5,8 @@ that multiprocessing starts.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 _VARIABLE = "PYTHONSAFEPATH"
 _OURS = "studies"  # any text switches it on
@@ -15,6 +16,18 @@ _SECRET = "STUDIES_STORAGE"  # the URL of a database, which may hold a password
 def start_safely() -> None:
     """Have the processes that this one starts leave the working folder out of what they import from."""
     os.environ.setdefault(_VARIABLE, _OURS)
+
+
+@contextmanager
+def environment_restored() -> Iterator[None]:
+    """Undo what is changed in the environment of this process meanwhile."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def as_for_fmus(environment: Mapping[str, str]) -> dict[str, str]:

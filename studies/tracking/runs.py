@@ -5,7 +5,6 @@ module that speaks to MLflow's client.
 """
 
 import math
-import os
 import re
 import sys
 import tempfile
@@ -22,6 +21,7 @@ import pelsvae
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
+from simulation.pool.safe_start import environment_restored
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.report.wording import difference_unit
 from studies.tracking.origin import origin_tags
@@ -255,13 +255,12 @@ def _surroundings_restored() -> Iterator[None]:
     It leaves the model's code on the path, in a temporary folder that anybody may make again once it is gone,
     and names the experiment in the environment. With either, other processes would be started to simulate.
     """
-    places, environment = sys.path.copy(), os.environ.copy()
+    places = sys.path.copy()
     try:
-        yield
+        with environment_restored():
+            yield
     finally:
         sys.path[:] = places
-        for name in os.environ.keys() - environment.keys():
-            del os.environ[name]
 
 
 def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
@@ -272,8 +271,11 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     import numpy as np
     import pandas as pd
 
-    scratch_folder = tempfile.TemporaryDirectory(prefix="studies-model-")
-    with warnings.catch_warnings(), scratch_folder as scratch, _surroundings_restored():
+    with (
+        warnings.catch_warnings(),
+        tempfile.TemporaryDirectory(prefix="studies-model-") as scratch,
+        _surroundings_restored(),
+    ):
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         import mlflow.pyfunc
         from mlflow.models import Model, ModelSignature

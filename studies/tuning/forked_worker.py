@@ -13,7 +13,7 @@ from types import ModuleType
 
 from simulation.errors import InputError
 from simulation.pool.fork_server import ONE_THREAD
-from simulation.pool.safe_start import start_safely
+from simulation.pool.safe_start import environment_restored, start_safely
 from studies.paths import ProjectPaths
 
 # These imports take 8 s of processor time. Optuna and MLflow import the last ones when they open a store.
@@ -69,17 +69,15 @@ class ForkedWorker:
 @contextmanager
 def _fork_server() -> Iterator[None]:
     """Have the process that workers are forked from, and hide a user's script, which they would run again."""
-    before, script = dict(os.environ), sys.modules["__main__"]
+    script = sys.modules["__main__"]
     # Ctrl-C is for the command, which stops its workers; also while these import.
     masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    os.environ.update(ONE_THREAD)
-    start_safely()
     try:
-        forkserver.ensure_running()
+        with environment_restored():
+            os.environ.update(ONE_THREAD)
+            start_safely()
+            forkserver.ensure_running()
     finally:
-        for name in os.environ.keys() - before.keys():
-            del os.environ[name]
-        os.environ.update(before)
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
     sys.modules["__main__"] = ModuleType("__main__")
     try:
