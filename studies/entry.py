@@ -17,6 +17,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return BAD_INPUT
     # Only now: the rest needs Linux already when it is imported.
+    import studies.rare_collection  # noqa: F401
     from studies.cli import main as run
 
     return run(argv)

@@ -39,6 +39,10 @@ _load, _load_once = pyfiles.load_module_py, functools.cache(pyfiles.load_module_
 pyfiles.load_module_py = lambda name, path: (_load if name == "env_py" else _load_once)(name, path)
 
 
+# No garbage is looked for among what the imports make; pytest_collection_finish ends this.
+gc.disable()
+
+
 # Tests look for what is left in the temporary folder, so processes that test side by side have one each.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     own = Path(tempfile.mkdtemp(prefix=f"tests-{worker}-"))
@@ -79,13 +83,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _keep_what_is_there() -> None:
     """Take what exists out of the garbage collection, which would look at a million objects each time."""
-    gc.collect()
     gc.freeze()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Leave out what the imports have made."""
     _keep_what_is_there()
+    gc.enable()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

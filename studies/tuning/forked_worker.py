@@ -18,6 +18,7 @@ from studies.paths import ProjectPaths
 
 # These imports take 8 s of processor time. Optuna and MLflow import the last ones when they open a store.
 PRELOADED = (
+    "studies.rare_collection",
     "studies.tuning.worker",
     "optuna.storages._rdb.models",
     "mlflow.store.tracking.sqlalchemy_workspace_store",

@@ -12,8 +12,8 @@ COMMANDS = (
 )
 
 
-def test_no_row_of_a_search_or_a_sample_breaks_a_constraint(new_project: Path, studies: Run) -> None:
-    file = add_case(new_project)
+def test_no_row_of_a_search_or_a_sample_breaks_a_constraint(project: Path, studies: Run) -> None:
+    file = add_case(project)
     text = file.read_text(encoding="utf-8")
     text = text.replace("schema = 1\n", 'schema = 1\nconstraints = ["C1 < C2", "G23 < G12"]\n')
     text = text.replace("window_d = [1, 5]", "window_d = [1, 2]", 1).replace("validation_d = [5, 7]\n", "")
@@ -23,7 +23,7 @@ def test_no_row_of_a_search_or_a_sample_breaks_a_constraint(new_project: Path, s
     for command in COMMANDS:
         answer = studies(*command)
         assert answer.code == 0, answer.err
-        rows = pandas.concat(stored_simulations(new_project, "wall").values())
+        rows = pandas.concat(stored_simulations(project, "wall").values())
         assert (rows["C1"] <= rows["C2"]).all(), command
         assert (rows["G23"] <= rows["G12"]).all(), command
         assert len(rows) > n_before, command

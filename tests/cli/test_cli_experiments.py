@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_once import made_once
+from mlflow_store_for_tests import give_store
 from project_for_tests import Run, add_case, copy_of, make_project, stored_result, stored_simulations
 
 from simulation.case import load_case
@@ -146,6 +147,7 @@ def test_one_experiment_alone_is_the_same_as_its_window(tmp_path: Path) -> None:
 
 def test_an_experiment_may_be_driven_in_another_way(new_project: Path, studies: Run) -> None:
     first, second, _ = EXPERIMENTS.split("\n\n")
+    give_store(new_project)
     with_experiments(add_case(new_project), f'{first}\n\n{second}\ninterface = "model-exchange"\n')
 
     found = studies("calibrate", "wall", "--json").stage

@@ -135,9 +135,9 @@ def test_a_second_run_finds_everything_finished(
 
 
 def test_an_interrupted_run_ends_the_same(
-    tmp_path: Path, whole_run: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, whole_run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    project = shutil.copytree(whole_run, tmp_path / "project")
+    project = copy_of(whole_run, tmp_path / "project", monkeypatch)
     # All that a run is interrupted in is undone; the simulations before are its own, and its smaller size.
     storage = open_storage(ProjectPaths(project))
     for study in storage.get_all_studies():

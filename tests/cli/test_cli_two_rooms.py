@@ -8,10 +8,8 @@ from project_for_tests import Run, add_case
 TRUTH = {"C1": 1.3e6, "C2": 8e5, "CWall": 5.2e6, "G1": 26, "G2": 17, "GWall": 62, "A1": 1.4, "A2": 0.55}
 
 
-def test_seven_experiments_find_what_all_share_and_predict_the_eighth(
-    new_project: Path, studies: Run
-) -> None:
-    add_case(new_project, "two-rooms")
+def test_seven_experiments_find_what_all_share_and_predict_the_eighth(project: Path, studies: Run) -> None:
+    add_case(project, "two-rooms")
     found = studies("calibrate", "two-rooms", "--jobs", "2", "--json").stage
 
     # Four simulations with the door shut, one with it open; these five are worth one row of seven.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands_shown_for_tests import WHY_NOT, give_what_commands_name, lines_shown
+from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, add_case
 
 from simulation.case import load_case
@@ -94,6 +95,7 @@ def first(profiles: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     root = tmp_path_factory.mktemp("project")
     (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     add_case(root, "office")
+    give_store(root)
     words = [*COMMAND, "--profile", str(profiles / "quick.toml"), "--n-train", *map(str, SIZES)]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as out:
         patch.chdir(root)

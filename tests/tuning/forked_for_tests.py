@@ -18,7 +18,7 @@ from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 FORKED = multiprocessing.get_context("forkserver")
-FORKED.set_forkserver_preload(["__main__", "studies.tuning.tune_studies", *PRELOADED])
+FORKED.set_forkserver_preload(["__main__", *PRELOADED, "studies.tuning.tune_studies"])
 
 
 def run_worker(paths: ProjectPaths, name: str) -> None:
