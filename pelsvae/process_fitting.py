@@ -144,14 +144,15 @@ def _members(
         believed[place, one.columns] = one.is_final
     n_most = max(1, min(n_members, MEMBER_ROWS // n))
     # On few rows first, as each candidate costs a factorization, n³; the shares then follow from all rows.
-    for n_rows in sorted({min(n, CHOOSING_ROWS), n}):
-        # A single member counts 1 whatever the rows.
-        if n_rows > CHOOSING_ROWS and len(hypers) == 1:
-            break
+    n_rows = min(n, CHOOSING_ROWS)
+    while True:
         predicted = _predicted(rows.first(n_rows), validation[0], hypers)
         chosen = best_shares(predicted, true, believed, n_most)
         hypers, believed = hypers[chosen.members], believed[chosen.members]
-    return hypers, chosen.share
+        # A single member counts 1 whatever the rows.
+        if n_rows == n or len(hypers) == 1:
+            return hypers, chosen.share
+        n_rows = n
 
 
 def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:

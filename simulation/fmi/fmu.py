@@ -192,9 +192,7 @@ class FmuModel:
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
             values = settings.parameters_for_fmu(row)
-            reason = wrong_number(settings.set_names, values)
-        if not reason:
-            reason = self._runner.run(values, self._y_simulated)
+            reason = wrong_number(settings.set_names, values) or self._runner.run(values, self._y_simulated)
         if not reason:
             simulated = self._y_simulated[settings.scenario.n_warmup :]
             if settings.output_factors is not None:

@@ -53,13 +53,14 @@ def in_a_fork(function: Callable[[], object]) -> int:
     Returns:
         The id of the fork.
     """
-    if pid := os.fork():
-        return pid
-    code = 70
-    try:
-        function()
-        code = 0
-    except Exception:
-        traceback.print_exc()
-    finally:
-        os._exit(code)
+    pid = os.fork()
+    if pid == 0:
+        code = 70
+        try:
+            function()
+            code = 0
+        except Exception:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    return pid

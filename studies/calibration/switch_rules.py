@@ -224,7 +224,10 @@ def _judged(
             beyond = sign * (shown[is_bound] - thresholds[n]) / scale
             if (beyond < -SAME_VALUE).any():
                 return None
-        if waits and (is_bound.sum() > 1 if not free.size else (beyond > SAME_VALUE).any()):
+            has_waited = bool((beyond > SAME_VALUE).any())
+        else:
+            has_waited = bool(is_bound.sum() > 1)
+        if waits and has_waited:
             shortest[n] = least
     if worst > SAME_VALUE or not is_tested:
         return None
