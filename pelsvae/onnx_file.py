@@ -52,6 +52,7 @@ def onnx_bytes(surrogate: Surrogate, *, metadata: Mapping[str, str]) -> bytes:
             )
         finally:
             exporter.setLevel(level)
+    assert program is not None, "dynamo returns one"
     for node in program.model.graph:
         node.metadata_props.clear()  # lines of source code and the places of their files
     program.model.metadata_props.update(metadata)

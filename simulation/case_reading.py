@@ -132,7 +132,7 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     fault_text = _PLAIN.get(kind, shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED))
     if kind == "model_type" and location[-1:] == ("prior",):
         fault_text = _prior_remedy(value, content["parameters"][location[1]])
-    if not isinstance(value, dict | list):
+    if not isinstance(value, (dict, list)):
         key += f" = {quoted(value)}"
     return (f"{key}: " if key else "") + fault_text + ("" if "; " in fault_text else "; correct it")
 

@@ -118,8 +118,8 @@ def _value(tree: ast.expr, values: Mapping[str, float]) -> float:
             return _OPERATORS[type(op)](_value(left, values), _value(right, values))
         case ast.UnaryOp(_, operand):
             return -_value(operand, values)
-        case ast.Constant(value):
-            return float(value)  # type: ignore[arg-type]
+        case ast.Constant(int() | float() as value):
+            return float(value)
     return values[ast.unparse(tree)]
 
 

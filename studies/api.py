@@ -182,7 +182,7 @@ def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
             yield f"--no-{option}"
         elif value is True:
             yield f"--{option}"
-        elif isinstance(value, list | tuple):
+        elif isinstance(value, (list, tuple)):
             yield from (f"--{option}", *map(str, value))
         elif value is not None and value is not False:
             yield f"--{option}={value}"

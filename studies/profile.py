@@ -184,7 +184,7 @@ def in_one_line(error: ValidationError) -> str:
     key = ".".join(str(part) for part in fault["loc"]) or "the file"
     if unknown:
         return f"unknown key {shortened(key)}; remove or correct it"
-    value = "" if isinstance(fault["input"], dict | ArgsKwargs) else f" = {quoted(fault['input'])}"
+    value = "" if isinstance(fault["input"], (dict, ArgsKwargs)) else f" = {quoted(fault['input'])}"
     said = shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED)
     return f"{shortened(key)}{value}: {said}"
 

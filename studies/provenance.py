@@ -100,8 +100,8 @@ def read_provenance(record: Mapping[str, Any], owner: str) -> Provenance:
             made.declaration.config(made.params)
     except ValueError as error:
         raise InputError(f"{owner}: {FILE}: {shortened(str(error))}; use the version that wrote it") from None
-    if not getattr(made, NEEDED[kind]):
-        raise InputError(f"{owner}: {FILE}: {NEEDED[kind]} is missing; make it again with this version")
+    if not getattr(made, NEEDED[made.kind]):
+        raise InputError(f"{owner}: {FILE}: {NEEDED[made.kind]} is missing; make it again with this version")
     return made
 
 

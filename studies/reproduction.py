@@ -27,7 +27,7 @@ from studies.stages.pipeline import Study, read_json
 from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt
 from studies.stages.simulate_stage import simulate_stage
 from studies.stages.stage_results import SURROGATE_FIELDS, Calibration
-from studies.stages.warm_start import StartRows
+from studies.stages.warm_start import ChooseRows, StartRows
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
 from studies.tuning.trial_training import load_data, train
@@ -208,7 +208,7 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
 def _calibration(study: Study, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:
     if made.settings is None:
         return calibrate(study, load_surrogate(runs, made.surrogate_run), made.n_train)
-    start = None
+    start: ChooseRows | None = None
     if before.start_theta is not None and before.start_watched is not None:
         rows = StartRows(before.start_theta, before.start_watched)
         start = lambda *_: rows  # noqa: E731 (the rows are known)

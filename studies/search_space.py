@@ -69,7 +69,7 @@ class SearchParameter:
     def is_asked(self, settings: Mapping[str, Any]) -> bool:
         """Say whether the hyperparameter is searched beside these settings."""
         return all(
-            settings.get(name) in (wanted if isinstance(wanted, tuple | list) else (wanted,))
+            settings.get(name) in (wanted if isinstance(wanted, (tuple, list)) else (wanted,))
             for name, wanted in self.when.items()
         )
 

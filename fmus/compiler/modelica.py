@@ -101,7 +101,8 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
         if not with_events and has_when(flat_class):
             raise CompileError(f"{class_name}: has a when; write events = true into the build file")
         # What pymoca's `generate` does after flattening.
-        writer = generator.Generator(tree, class_name, generator._merge_default_options(None))
+        options: Any = generator._merge_default_options(None)  # more than the type it declares
+        writer = generator.Generator(tree, class_name, options)
         generator.GeneratorWalker().walk(writer, tree)
     except CompileError:
         raise

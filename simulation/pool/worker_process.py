@@ -56,7 +56,7 @@ def known_facts(make_model: Factory) -> Facts | None:
         make_model: The factory; its owner is the object that it is a bound method of.
     """
     try:
-        owner: Any = make_model.__self__  # type: ignore[attr-defined]
+        owner: Any = getattr(make_model, "__self__", None)
         return Facts(owner.parameter_space, owner.output_names, owner.time)
     except AttributeError:
         return None

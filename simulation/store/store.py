@@ -86,7 +86,7 @@ class SimulationStore:
             "insert or ignore into simulations "
             f"values (null, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'), ?, {values})"
         )
-        described = {
+        described: dict[str, object] = {
             "format": _FORMAT,
             "model_digest": model_digest,
             "parameters": json.dumps(parameter_names),
@@ -266,9 +266,13 @@ def _connect(file: Path) -> sqlite3.Connection:
     # Where nothing can be written, SQLite's files beside it cannot be made; no other process writes either.
     place = f"{file.absolute().as_uri()}{'?immutable=1' if is_fixed else ''}"
     database = sqlite3.connect(place, uri=True, timeout=_PATIENCE_S, isolation_level=None)
-    # A damaged text has another checksum: it need not stop the reading of others.
-    database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    database.text_factory = _decoded
     return database
+
+
+def _decoded(raw: bytes) -> str:
+    # A damaged text has another checksum: it need not stop the reading of others.
+    return raw.decode("utf-8", "replace")
 
 
 def _make(file: Path, described: dict[str, object], columns: list[str]) -> None:

@@ -207,7 +207,8 @@ def _judged(
 
 def _weight(values: FloatArray) -> FloatArray:
     # Errors count relative to each row, as coefficients vary a hundredfold over a box (the same note).
-    return 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
+    weight: FloatArray = 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
+    return weight
 
 
 def _left(error: FloatArray, values: FloatArray, weight: FloatArray) -> float:

@@ -6,6 +6,7 @@ import re
 import shlex
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 from jinja2 import Environment
 
@@ -87,15 +88,16 @@ def lines_to_edit(text: str) -> list[tuple[int, str]]:
 def _environment() -> Environment:
     """Return what fills the templates: text, not HTML."""
     made = environment("new")
-    made.globals |= {"bounds_for": bounds_for, "reals": REAL_KINDS, "temperatures": ("K", "degC", "°C")}
+    known: dict[str, Any] = made.globals
+    known |= {"bounds_for": bounds_for, "reals": REAL_KINDS, "temperatures": ("K", "degC", "°C")}
     made.filters |= {
         "toml": _toml,
         "line": _line,
         "number": _number,
         "quote": shlex.quote,
-        "key": lambda name: name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name),
-        "comment": lambda block: "\n".join(f"# {line}" for line in block.splitlines()),
-        "cell": lambda text: _line(text).replace("|", "\\|"),
+        "key": _key,
+        "comment": _comment,
+        "cell": _cell,
         "values": _values,
         "start": _start,
         "declared": _declared,
@@ -106,6 +108,20 @@ def _environment() -> Environment:
 def _toml(text: str) -> str:
     """Return a TOML string: its escapes are JSON's, and DEL is escaped as well."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _key(name: str) -> str:
+    """Return a key of TOML, in quotes where it needs them."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name)
+
+
+def _comment(block: str) -> str:
+    return "\n".join(f"# {line}" for line in block.splitlines())
+
+
+def _cell(text: str) -> str:
+    """Return a text that can stand in a table of Markdown."""
+    return _line(text).replace("|", "\\|")
 
 
 def _line(text: str) -> str:

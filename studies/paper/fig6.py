@@ -90,7 +90,8 @@ class Tuning:
 
     def setting(self, trial: Trial, name: str) -> float | int:
         """Return a number among the settings of a trial's surrogate."""
-        number: float | int = {**self.settings, **trial.params}[name]
+        settings: dict[str, Any] = {**self.settings, **trial.params}
+        number: float | int = settings[name]
         return number
 
 

@@ -23,7 +23,8 @@ def make_sampler(declared: Mapping[str, Any], seed: int) -> BaseSampler:
     Raises:
         InputError: there is no such sampler, or it refuses the arguments.
     """
-    return _made("sampler", declared, vars(optuna.samplers), BaseSampler, seed=seed)  # type: ignore[no-any-return]
+    made: BaseSampler = _made("sampler", declared, vars(optuna.samplers), BaseSampler, seed=seed)
+    return made
 
 
 def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
@@ -32,7 +33,9 @@ def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
     Raises:
         InputError: there is no such pruner, or it refuses the arguments.
     """
-    return _made("pruner", declared, vars(optuna.pruners) | {"CatchUpPruner": CatchUpPruner}, BasePruner)  # type: ignore[no-any-return]
+    known = vars(optuna.pruners) | {"CatchUpPruner": CatchUpPruner}
+    made: BasePruner = _made("pruner", declared, known, BasePruner)
+    return made
 
 
 def _made(kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base: type, **more: Any) -> Any:

@@ -206,7 +206,8 @@ class PosteriorSampler:
         anywhere = self._particles(expected, Reference.even(self._u.shape[1]), n_particles)
         centres = np.concatenate([good, anywhere[:MOST_CENTRES]])
         precision = self._posterior.precision(predicted.metric(centres, raised), wider=WIDER)
-        return expected, Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
+        roots = np.asarray(np.linalg.cholesky(np.linalg.inv(precision)), dtype=np.float64)
+        return expected, Reference(centres, roots)
 
     def _particles(self, expected: Density, around: Reference, n_particles: int) -> FloatArray:
         """Sample a density by so many particles, with a seed of their own."""
