@@ -71,7 +71,7 @@ def train_network(
         for weight in weights:
             # None rather than zeros: backward() then writes gradients instead of adding to them.
             weight.grad = None
-        terms.total.backward()  # type: ignore[no-untyped-call]
+        terms.total.backward()
         step_weights(learning_rate)
         return terms
 
@@ -122,7 +122,7 @@ def _replayed(step: Callable[[Tensor, float | Tensor], LossTerms], noise: torch.
     Returns:
         The same step. What it returns is overwritten by the next one.
     """
-    stream = torch.cuda.Stream(noise.device)  # type: ignore[no-untyped-call]
+    stream = torch.cuda.Stream(noise.device)
     recordings: dict[int, tuple[torch.cuda.CUDAGraph, Tensor, Tensor, LossTerms]] = {}
 
     def replay(rows: Tensor, learning_rate: float) -> LossTerms:

@@ -20,7 +20,7 @@ _connect: Any = Client
 _CONNECT_S = 15.0  # half of Dask's own default: a wrong address is found out soon
 
 
-class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]
+class DaskExecutor(ClientExecutor):
     """The workers behind a Dask scheduler; Dask itself gives a chunk whose worker dies to another."""
 
     lost = (KilledWorker,)
@@ -67,7 +67,7 @@ class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]
         self._client.close()
 
 
-class _FileOnWorker(WorkerPlugin):  # type: ignore[misc, unused-ignore]
+class _FileOnWorker(WorkerPlugin):
     """A file that every worker has in its own folder, under the digest of its content."""
 
     # The same file from two programs is written once.

@@ -112,7 +112,7 @@ def _library() -> str:
     from vl_convert import javascript_bundle
 
     # The stub demands an argument that the function does not need.
-    library: str = javascript_bundle()  # type: ignore[call-arg]
+    library: str = javascript_bundle()  # pyrefly: ignore[missing-argument]
     return library
 
 
