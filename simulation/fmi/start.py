@@ -66,9 +66,10 @@ class Setting:
         self.columns = columns
         self._references = np.array([variables[column].reference for column in columns], dtype=np.uint32)
         chosen = [values[column] for column in columns]
-        if isinstance(chosen[0], str):
-            # Held here, as the FMU gets bare addresses.
-            self._texts = [ctypes.create_string_buffer(text.encode()) for text in chosen]
+        # Held here, as the FMU gets bare addresses.
+        texts = [text.encode() for text in chosen if isinstance(text, str)]
+        self._texts = [ctypes.create_string_buffer(text) for text in texts]
+        if texts:
             chosen = [np.array([ctypes.addressof(text)]) for text in self._texts]
         self.values: Any = np.column_stack(chosen)
         # Addresses are reckoned once: a row may take no longer than a few of these calls.

@@ -67,17 +67,26 @@ def no_process_is_left():
     assert [c for c in left if "postgres" not in str(c)] == []
 
 
+@pytest.fixture(scope="module")
+def surroundings(tmp_path_factory):
+    """The same for all tests: in other surroundings, another process is needed to fork workers from."""
+    folder = tmp_path_factory.mktemp("surroundings")
+    for name in ("temporary", "working"):
+        (folder / name).mkdir()
+    return folder
+
+
 @pytest.fixture
-def trace(tmp_path, monkeypatch):
-    """Folders of its own for all that a batch may leave behind; checks that it leaves nothing."""
-    temporary, working = tmp_path / "temporary", tmp_path / "working"
-    temporary.mkdir()
-    working.mkdir()
+def trace(surroundings, monkeypatch):
+    """Folders for all that a batch may leave behind; checks that it leaves nothing."""
+    temporary, working = surroundings / "temporary", surroundings / "working"
+    count = surroundings / "count.csv"
+    count.unlink(missing_ok=True)
     monkeypatch.setenv("TMPDIR", str(temporary))
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    monkeypatch.setenv(COUNT_VARIABLE, str(tmp_path / "count.csv"))
+    monkeypatch.setenv(COUNT_VARIABLE, str(count))
     monkeypatch.chdir(working)
-    yield tmp_path / "count.csv"
+    yield count
     assert list(temporary.iterdir()) == []
     assert list(working.iterdir()) == []
 
