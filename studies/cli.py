@@ -14,6 +14,7 @@ import textwrap
 import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
 from pathlib import Path
@@ -145,6 +146,7 @@ def _understand(arguments: Sequence[str]) -> argparse.Namespace:
     return chosen
 
 
+@cache
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     parser = _Parser(

@@ -221,7 +221,7 @@ def minimize_from(
         reason = _solve(row, residuals, bounds, space.to_unit(theta0) if is_unit else theta0)
     except BudgetExceeded as over:
         reason = str(over)
-    except (ValueError, np.linalg.LinAlgError) as error:
+    except ValueError as error:
         reason = f"the optimizer failed: {error}"
     theta = theta0 if recorder.best is None else recorder.best.theta[0]
     return Start(tuple(theta.tolist()), min(recorder.best_mse, FAILED), recorder.n_calls, reason)
