@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,37 +75,21 @@ LONGEST = (
 )
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(
-    collector: pytest.Collector,
-) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Have the second process begin at the other end: after a checkout, each compiles half of the files."""
-    report = yield
-    if os.environ.get("PYTEST_XDIST_WORKER") == "gw1" and isinstance(collector, pytest.Dir):
-        report.result.reverse()
-    return report
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first, for processes that test side by side."""
     place = {name: at for at, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: (place.get(item.path.stem, len(place)), item.path))
-
-
-def _keep_what_is_there() -> None:
-    """Take what exists out of the garbage collection, which would look at a million objects each time."""
-    gc.freeze()
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Leave out what the imports have made."""
-    _keep_what_is_there()
+    """Leave what the imports have made, a million objects, out of the garbage collection."""
+    gc.freeze()
     gc.enable()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Leave out all: Pytest collects ten times at its end, and Python once more."""
-    _keep_what_is_there()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
