@@ -83,12 +83,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Leave what the imports have made, a million objects, out of the garbage collection."""
+    gc.collect()
     gc.freeze()
     gc.enable()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Leave out all: Pytest collects ten times at its end, and Python once more."""
+    gc.collect()
     gc.freeze()
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from inspect import signature
-from typing import Any
+from typing import Any, TypeVar
 
 import optuna
 from optuna.pruners import BasePruner
@@ -12,6 +12,7 @@ from optuna.trial import FrozenTrial, TrialState
 from simulation.errors import InputError
 from studies.tuning.declaration import Declaration
 
+_Made = TypeVar("_Made")
 # Each trial has a sampler of its own: with a seed per trial they would mix several sequences.
 _ONE_SEQUENCE = ("QMCSampler", "GridSampler", "BruteForceSampler")
 """Samplers that go through one sequence: each trial takes the same seed, not one of its own."""
@@ -23,8 +24,7 @@ def make_sampler(declared: Mapping[str, Any], seed: int) -> BaseSampler:
     Raises:
         InputError: there is no such sampler, or it refuses the arguments.
     """
-    made: BaseSampler = _made("sampler", declared, vars(optuna.samplers), BaseSampler, seed=seed)
-    return made
+    return _made("sampler", declared, vars(optuna.samplers), BaseSampler, seed=seed)
 
 
 def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
@@ -34,11 +34,12 @@ def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
         InputError: there is no such pruner, or it refuses the arguments.
     """
     known = vars(optuna.pruners) | {"CatchUpPruner": CatchUpPruner}
-    made: BasePruner = _made("pruner", declared, known, BasePruner)
-    return made
+    return _made("pruner", declared, known, BasePruner)
 
 
-def _made(kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base: type, **more: Any) -> Any:
+def _made(
+    kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base: type[_Made], **more: Any
+) -> _Made:
     name, arguments = declared.get("name"), {k: v for k, v in declared.items() if k != "name"}
     offered = {n: v for n, v in known.items() if isinstance(v, type) and issubclass(v, base) and v != base}
     if (found := offered.get(str(name))) is None:

@@ -155,7 +155,7 @@ def test_the_installed_package_writes_into_the_project_alone(site: Path, tmp_pat
         studies(*reading)
         assert not contents(project), f"{reading} wrote something"
     (project / "below").mkdir()
-    studies("calibrate", "wall", "-q", "--no-state-equations", "--max-calls", "8")
+    studies("calibrate", "wall", "-q")
     assert (project / "studies.toml").is_file()
     studies("new", REPOSITORY / "fmus" / "vanderpol" / "VanDerPol.fmu", where=project / "below")
     made = contents(project)
