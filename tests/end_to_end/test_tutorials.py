@@ -33,9 +33,10 @@ def follows(shown: list[str], printed: list[str]) -> bool:
 
 def is_same(word: str, other: str) -> bool:
     try:
-        return float(word) == pytest.approx(float(other), rel=PROCESSORS_DIFFER)
+        number, printed = (float(text.replace(",", "")) for text in (word, other))
     except ValueError:
         return word == other
+    return number == pytest.approx(printed, rel=PROCESSORS_DIFFER)
 
 
 def compare(block: str, output: str) -> None:
