@@ -23,7 +23,7 @@ from studies.calibration.states import StateSignals, why_unwatched
 from studies.console import OnBar
 from studies.physical_model import StoredWatchedModel, open_physical_model, open_watched_model, say_reused
 from studies.report.wording import count, quantity, square_of
-from studies.stages.calibrated_point import calibration_at, validation_inputs, with_validation
+from studies.stages.calibrated_point import calibration_at, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
 from studies.stages.stage_results import ADAPTIVE, Calibration, EquationsFound
@@ -156,23 +156,16 @@ def calibrate_adaptively(
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)
     say_reused(study, STAGE, physical, n_repeated=n_read)
-    ledger = Ledger(n_adaptive=result.n_calls + physical.n_asked_twice)
-    found = calibration_at(
+    return calibration_at(
         study,
         physical,
-        y=result.y,
-        theta=result.theta,
-        slopes=result.slopes,
+        result,
+        ledger=Ledger(n_adaptive=result.n_calls + physical.n_asked_twice),
+        history=result.history,
         method="adaptive",
         n_train=0,
         settings=asdict(settings),
-        mse=result.mse,
-        stop_reason=result.stop_reason,
-        converged=result.converged,
         left=result.left,
-        ledger=ledger.to_dict(),
-        history_calls=result.history.n_calls,
-        history_mse=result.history.best_mse,
         n_rounds=result.n_rounds,
         n_warm_start=None if known is None else known.n,
         expected_gain=result.expected_gain if np.isfinite(result.expected_gain) else None,
@@ -181,7 +174,6 @@ def calibrate_adaptively(
         start_theta=None if rows is None else rows.theta,
         start_watched=None if rows is None else rows.watched,
     )
-    return with_validation(study, found, {"calibrated": result.theta})
 
 
 def _say_start(study: Study, physical: StoredModel, n_start: int | None) -> None:
@@ -239,12 +231,9 @@ def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
     Raises:
         InputError: the user wants it, and the FMU does not show its states.
     """
-    if wish is None:
-        return not why_unwatched(case)
-    for one in case.experiments or (case,):
-        if wish:
-            StateSignals.of(one)
-    return wish
+    for one in (case.experiments or (case,)) if wish else ():
+        StateSignals.of(one)
+    return not why_unwatched(case) if wish is None else wish
 
 
 def learned_ode_of(case: Case, physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:

@@ -11,7 +11,7 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
-from studies.stages.calibrated_point import calibration_at, validation_inputs, with_validation
+from studies.stages.calibrated_point import calibration_at, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.stage_results import Calibration, Screened
@@ -112,7 +112,7 @@ def calibrate(
             physical,
             measurement,
             screening=DifferentialEvolution(**asdict(profile.screening)),
-            polishing=LeastSquaresTRF(max_calls=profile.polish.max_calls, ftol=profile.polish.ftol),
+            polishing=LeastSquaresTRF(**asdict(profile.polish)),
             seed=profile.seed,
             n_train=n_train,
             n_validation=profile.data.n_validation,
@@ -122,24 +122,18 @@ def calibrate(
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
     screened = result.screened
-    found = calibration_at(
+    return calibration_at(
         study,
         physical,
-        y=result.polish.y,
-        theta=result.polish.theta,
-        slopes=result.polish.slopes,
+        result.polish,
+        ledger=result.ledger,
+        history=result.history,
         method="paper",
         n_train=n_train,
         settings={
             **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
             **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
         },
-        mse=result.polish.mse,
-        stop_reason=result.polish.stop_reason,
-        converged=result.polish.converged,
-        ledger=result.ledger.to_dict(),
-        history_calls=result.history.n_calls,
-        history_mse=result.history.best_mse,
         screening=Screened(
             theta=space.named(screened.theta[0]),
             mse_surrogate=result.mse_surrogate,
@@ -149,4 +143,3 @@ def calibrate(
         ),
         y_screened=screened.y[0],
     )
-    return with_validation(study, found, {"screened": screened.theta[0], "polished": result.polish.theta})

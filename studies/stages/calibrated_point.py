@@ -18,7 +18,11 @@ from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
+from studies.calibration.adaptive import AdaptiveResult
+from studies.calibration.ledger import Ledger
+from studies.calibration.polish import PolishResult
 from studies.calibration.prior import Prior
+from studies.calibration.recorder import History
 from studies.physical_model import open_physical_model
 from studies.report.wording import difference_unit
 from studies.stages.knowledge import prior_found, prior_of
@@ -34,40 +38,47 @@ CLEAR_PAIR = 0.9
 def calibration_at(
     study: Study,
     physical: StoredModel,
+    found: AdaptiveResult | PolishResult,
     *,
-    y: FloatArray,
-    theta: FloatArray,
-    slopes: FloatArray | None,
+    ledger: Ledger,
+    history: History,
     **more: Any,
 ) -> Calibration:
-    """Return a calibration with all that follows from its point.
+    """Return a calibration with all that follows from its point, the validation as well.
 
     Args:
         study: The study.
         physical: The model that was asked.
-        y: The simulation at the point. Shape (t, k). [per output]
-        theta: The point. Shape (p,). [per parameter]
-        slopes: Of the residuals there, in an orthonormal basis. Shape (m, p). [first output's unit per range]
+        found: The point.
+        ledger: Model calls by purpose.
+        history: Best error over model calls.
         more: The other fields of the calibration.
     """
-    case, names, prior = study.case, study.case.parameter_space.names, prior_of(study.case)
-    return Calibration(
+    case, names, prior, y = study.case, study.case.parameter_space.names, prior_of(study.case), found.y
+    calibration = Calibration(
         case=case.name,
         seed=study.profile.seed,
-        theta=case.parameter_space.named(theta),
+        theta=case.parameter_space.named(found.theta),
         units={one.name: one.unit for one in case.parameter_space.parameters},
         output_unit=case.outputs[0].unit,
         error_name=case.measurement.error_name,
+        mse=found.mse,
+        stop_reason=found.stop_reason,
+        converged=found.converged,
         outputs=fits(case, y),
+        ledger=ledger.to_dict(),
         n_failed=len(physical.failures),
         first_failure=next(iter(physical.failures), None),
         n_simulated=physical.n_simulated,
         time=case.measurement.time,
         y=y,
-        determined_by_data=determined(names, case.measurement, prior, y=y, slopes=slopes),
-        prior=prior_found(case, theta),
+        history_calls=history.n_calls,
+        history_mse=history.best_mse,
+        determined_by_data=determined(names, case.measurement, prior, y=y, slopes=found.slopes),
+        prior=prior_found(case, found.theta),
         **more,
     )
+    return calibration if case.validation is None else _with_validation(study, calibration, case.validation)
 
 
 def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
@@ -167,27 +178,21 @@ def validate(
     return Validated(case.validation.window_d, found), answer
 
 
-def with_validation(study: Study, found: Calibration, points: Mapping[str, FloatArray]) -> Calibration:
-    """Return a calibration with how it does on the validation period, unchanged where the case has none.
-
-    Args:
-        study: The study.
-        found: The calibration.
-        points: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
-    """
-    case = study.case
-    if case.validation is None:
-        return found
-    points = {**_estimates(case), **points}
-    with open_physical_model(study, case=case.validation) as model:
-        validated, answer = validate(case, model, points)
-    time = case.validation.measurement.from_first_sample.time
+def _with_validation(study: Study, found: Calibration, period: Case) -> Calibration:
+    """Return a calibration with how it does on the validation period."""
+    points = _estimates(study.case)
+    if found.screening is not None:
+        points["screened"] = np.array(list(found.screening.theta.values()))
+    points[found.final] = found.point
+    with open_physical_model(study, case=period) as model:
+        validated, answer = validate(study.case, model, points)
+    time = period.measurement.from_first_sample.time
     y = dict(zip(points, answer.y[:, -len(time) :], strict=True))
     return replace(
         found,
         validation=validated,
         validation_time=time,
-        validation_y=y[list(points)[-1]],
+        validation_y=y[found.final],
         validation_y_screened=y.get("screened"),
     )
 

@@ -21,17 +21,12 @@ def prior_of(case: Case) -> Prior | None:
 
 def case_inputs(case: Case) -> dict[str, Any]:
     """Return what every calibration depends on: case, measurement, scales, and priors where it has any."""
-    digests = {"case": case.digest, "measurement": case.measurement.digest}
-    return {**digests, "is_log": case.parameter_space.is_log.tolist(), **_prior_inputs(case)}
-
-
-def _prior_inputs(case: Case) -> dict[str, Any]:
-    prior = prior_of(case)
-    if prior is None:
-        return {}
-    parameters = case.parameter_space.parameters
-    beliefs = {one.name: asdict(one.prior) for one in parameters if one.prior is not None}
-    return {"prior": {"parameters": beliefs, "weight": prior.weight}}
+    space, prior = case.parameter_space, prior_of(case)
+    inputs = {"case": case.digest, "measurement": case.measurement.digest, "is_log": space.is_log.tolist()}
+    if prior is not None:
+        beliefs = {one.name: asdict(one.prior) for one in space.parameters if one.prior is not None}
+        inputs["prior"] = {"parameters": beliefs, "weight": prior.weight}
+    return inputs
 
 
 def is_current(inputs: Mapping[str, Any], case: Case) -> bool:

@@ -163,12 +163,12 @@ def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
     manifest, arrays = read_json(file), file.with_suffix(".npz")
     if manifest is None or "result" not in manifest:  # which an earlier version wrote
         return None
+    kept = read_arrays(arrays) if arrays.is_file() else {}
+    result = rebuilt(kind, manifest["result"], str(file), kept)
     try:
         return Outcome(
             stage=stage,
-            result=rebuilt(
-                kind, manifest["result"], str(file), read_arrays(arrays) if arrays.is_file() else {}
-            ),
+            result=result,
             digest=str(manifest["digest"]),
             inputs=dict(manifest["inputs"]),
             reused=True,
@@ -177,8 +177,6 @@ def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
             provenance=dict(manifest.get("provenance", {})),
             file=file,
         )
-    except InputError:
-        raise
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{file}: not written by this version ({error!r}); move it away") from None
 
@@ -212,11 +210,6 @@ class Stage(Generic[T]):
     def file(self) -> Path:
         """The file that says that the stage is finished."""
         return self.study.results / f"{self.name}.json"
-
-    @property
-    def arrays(self) -> Path:
-        """The file of the result's arrays."""
-        return self.file.with_suffix(".npz")
 
     def once(
         self,
@@ -255,8 +248,8 @@ class Stage(Generic[T]):
             if not is_kept(result):
                 return replace(outcome, file=None)
             if arrays := arrays_of(result):
-                write_arrays(self.arrays, arrays)
-                files = [*files, self.arrays]
+                files = [*files, self.file.with_suffix(".npz")]
+                write_arrays(files[-1], arrays)
             if log is not None:
                 log(study, outcome)
             manifest = {
@@ -280,7 +273,11 @@ class Stage(Generic[T]):
         """Return what the stage came to before, and say so; None where it has to be done."""
         if again:
             self.file.unlink(missing_ok=True)
-        if not _is_whole(self.study.paths, self.file, self.digest):
+        manifest, root = read_json(self.file) or {}, self.study.paths.root
+        if manifest.get("digest") != self.digest:
+            return None
+        left = {root / name: size for name, size in manifest.get("files", {}).items()}
+        if not all(file.is_file() and file.stat().st_size == size for file, size in left.items()):
             return None
         outcome = None
         with suppress(InputError):  # what cannot be read is done again
@@ -290,12 +287,3 @@ class Stage(Generic[T]):
             return None
         self.study.console.say(f"{self.name}: finished before")
         return outcome
-
-
-def _is_whole(paths: ProjectPaths, file: Path, digest: str) -> bool:
-    """Say whether a finished stage had these inputs, and its files are as it left them."""
-    manifest = read_json(file)
-    if manifest is None or manifest.get("digest") != digest:
-        return False
-    made = {paths.root / name: size for name, size in manifest.get("files", {}).items()}
-    return all(one.is_file() and one.stat().st_size == size for one, size in made.items())
