@@ -7,6 +7,8 @@ import warnings
 from contextlib import closing
 from pathlib import Path
 
+from simulation.pool.safe_start import environment_restored
+
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow is imported
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars are the command line's
 with warnings.catch_warnings():
@@ -21,7 +23,6 @@ logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 # MLflow writes rows that a server may already have, and goes on where it refuses them.
 logging.getLogger("psycopg").setLevel(logging.ERROR)
 
-_VARIABLE = "MLFLOW_TRACKING_URI"
 __all__ = ["connect", "entities", "make_database", "mlflow"]
 
 
@@ -30,12 +31,9 @@ def connect(uri: str) -> mlflow.MlflowClient:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # MLflow's registry asks clients of its own, which know the process's store alone.
-        said = os.environ.get(_VARIABLE)
-        mlflow.set_tracking_uri(uri)
-        # Processes that are started get it as well, and another environment needs another fork server.
-        os.environ.pop(_VARIABLE, None)
-        if said is not None:
-            os.environ[_VARIABLE] = said
+        # It would also go into the environment, and another environment needs another fork server.
+        with environment_restored():
+            mlflow.set_tracking_uri(uri)
         client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client

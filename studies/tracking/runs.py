@@ -40,7 +40,6 @@ NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 CURVE = "curve/"
 SCHEME = "studies-project"
 """Of artifacts that lie in the project, see `studies.tracking.artifacts`."""
-MAX_METRICS = 1000  # of one call, MLflow's limit
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
 
@@ -116,11 +115,6 @@ class RunStore:
         settings = [entities.Param(name, str(value)[:6000]) for name, value in (params or {}).items()]
         marks = [entities.RunTag(name, str(value)) for name, value in (tags or {}).items()]
         self.client.log_batch(run_id, metrics=results, params=settings, tags=marks)
-
-    def log_points(self, run_id: str, points: Sequence[entities.Metric]) -> None:
-        """Write points of curves."""
-        for begin in range(0, len(points), MAX_METRICS):
-            self.client.log_batch(run_id, metrics=points[begin : begin + MAX_METRICS])
 
     def log_files(self, run_id: str, files: Iterable[Path], folder: str | None = None) -> None:
         """Copy files among a run's artifacts."""
@@ -202,7 +196,7 @@ def log_stage(
         for curve, along in (curves or {}).items()
         for step, value in along
     ]
-    runs.log_points(run_id, points)
+    runs.client.log_batch(run_id, points)
     runs.log_files(run_id, figures, "figures")
     runs.log_files(run_id, artifacts)
     if record:

@@ -1,6 +1,5 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
-import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -61,7 +60,7 @@ def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: 
         if not spec.is_baseline:
             register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
-    runs.end(run_id, "FINISHED", end_s=time.time())
+    runs.end(run_id, "FINISHED")
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

@@ -67,7 +67,7 @@ class TrialRun:
     def flush(self) -> None:
         """Write what is not yet written of the curves."""
         points, self._points = self._points, []
-        self._runs.log_points(self.id, points)
+        self._runs.client.log_batch(self.id, points)
         self._flushed_s = time.monotonic()
 
 
@@ -83,6 +83,5 @@ def end_run(runs: RunStore, run_id: str, trial: FrozenTrial) -> None:
     is_failed, is_over = trial.state == TrialState.FAIL, trial.state.is_finished()
     usual = "its worker died" if is_failed else "" if is_over else "its worker was stopped"
     reason = trial.user_attrs.get("reason") or usual
-    errors = errors_of(trial) if trial.state == TrialState.COMPLETE else {}
-    runs.log(run_id, metrics=errors, tags=tags | ({"reason": reason} if reason else {}))
+    runs.log(run_id, metrics=errors_of(trial), tags=tags | ({"reason": reason} if reason else {}))
     runs.end(run_id, "FAILED" if is_failed else "FINISHED" if is_over else "KILLED")

@@ -139,31 +139,28 @@ def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
     RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
 
 
-def retry_lost(study: optuna.Study) -> list[int]:
+def retry_lost(study: optuna.Study) -> None:
     """Fail the running trials whose worker on this machine has died, and let each be run again.
 
     Call it while the study is locked. The retry is made before the trial is failed: a kill between the two
     leaves a trial that is found again, not one that is lost.
-
-    Returns:
-        The numbers of these trials.
     """
     trials = study.get_trials(deepcopy=False)
     repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
     ours = [trial for trial in trials if trial.state == TrialState.RUNNING and is_owned(trial)]
-    lost = [trial for trial in ours if is_dead(trial.user_attrs[OWNER])]
-    for trial in lost:
+    for trial in (one for one in ours if is_dead(one.user_attrs[OWNER])):
         # A kill between retry and failure: the retry is there already.
         if trial.number not in repeated:
             run_again(study, trial)
         study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
-    return [trial.number for trial in lost]
 
 
 def errors_of(trial: FrozenTrial) -> dict[str, float]:
-    """Return a trial's errors by name, as `val/mae` and `test/p90`."""
+    """Return a trial's errors by name, as `val/mae` and `test/p90`; none unless it is complete."""
+    if trial.state != TrialState.COMPLETE or trial.value is None:
+        return {}
     found = {name: float(v) for name, v in trial.user_attrs.items() if name.startswith(("val/", "test/"))}
-    return found if trial.value is None else {"val/mae": float(trial.value), **found}
+    return {"val/mae": float(trial.value), **found}
 
 
 @cache

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from multiprocessing import forkserver
 from types import ModuleType
 
-from simulation.errors import InputError
 from simulation.pool.fork_server import ONE_THREAD
 from simulation.pool.safe_start import environment_restored, start_safely
 from studies.paths import ProjectPaths
@@ -95,7 +94,7 @@ def _work(
     environment: dict[str, str],
 ) -> None:
     """Be a worker: print into a file, and exit with 2 where a study cannot be used."""
-    from studies.tuning.worker import Worker  # imported before the fork, and not in the command itself
+    from studies.tuning.worker import run_studies  # imported before the fork, and not in the command itself
 
     threading.Thread(target=_end_with_command, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -105,12 +104,7 @@ def _work(
     with open(messages, "wb") as file:  # noqa: PTH123 (by the descriptor)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(file.fileno(), stream.fileno())
-    try:
-        for name in names:
-            Worker(paths, name).run(until_s=until_s)
-    except InputError as error:
-        sys.stderr.write(f"{error}\n")
-        sys.exit(2)
+    sys.exit(run_studies(paths, names, until_s))
 
 
 def _end_with_command() -> None:

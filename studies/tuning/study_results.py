@@ -124,7 +124,11 @@ class TunedStudy:
         spec, best = self.spec, self.best
         is_registered = best is not None and not spec.is_baseline
         beside = next((o.best for o in studies if o.spec.is_baseline and o.spec.data == spec.data), None)
-        errors = {} if best is None else dict(best.metrics)
+        more: dict[str, Any] = {f"n_{state}": self.count(state) for state in STATES}
+        if best is not None:
+            more |= {"trial": best.number, "run_id": best.run_id, "params": dict(best.params)}
+            more |= {name: best.metrics.get(f"test/{name}") for name in ("mae", "p90")}
+            more |= {"metrics": dict(best.metrics)}
         return TunedSize(
             label=spec.label,
             case=spec.case_name,
@@ -135,19 +139,13 @@ class TunedStudy:
             unit=difference_unit(spec.output_unit),
             n_planned=self.n_planned,
             n_trials=self.n_ended,
-            **{f"n_{state}": self.count(state) for state in STATES},
             n_proposed=self.n_proposed,
             wall_s=self.wall_s,
             to_go_s=self.to_go_s,
             gain=self.gain,
-            trial=None if best is None else best.number,
-            run_id=None if best is None else best.run_id,
             model_uri=spec.model_uri if is_registered else None,
-            params={} if best is None else dict(best.params),
-            mae=errors.get("test/mae"),
-            p90=errors.get("test/p90"),
-            metrics=errors,
             baseline={} if beside is None else dict(beside.metrics),
+            **more,
         )
 
     @property
@@ -220,7 +218,7 @@ def _view(trial: FrozenTrial) -> TrialView:
         state="failed" if trial.state == TrialState.FAIL else trial.state.name.lower(),
         params=dict(trial.params),
         value=value,
-        metrics=attempts.errors_of(trial) if trial.state == TrialState.COMPLETE else {},
+        metrics=attempts.errors_of(trial),
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),
         proposed_by=str(trial.user_attrs.get("proposed_by", usual)),
         wall_s=float(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),

@@ -9,7 +9,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -189,19 +189,33 @@ class Worker:
             end_run(self._runs, run_id, trial)
 
 
-def main() -> int:
-    """Run the trials of studies; the last line of standard error says why it could not."""
-    parser = argparse.ArgumentParser(prog="python -P -m studies.tuning.worker", description=__doc__)
-    parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
-    parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
-    chosen = parser.parse_args()
+def run_studies(paths: ProjectPaths, names: Sequence[str], until_s: float | None) -> int:
+    """Run the trials of studies; the last line of standard error says why it could not.
+
+    Args:
+        paths: the project.
+        names: names of the studies.
+        until_s: no trial begins after this moment. [s since 1970, UTC]
+
+    Returns:
+        The exit code: 2 where a study cannot be used.
+    """
     try:
-        for name in chosen.studies:
-            Worker(find_project(None), name).run(until_s=chosen.until)
+        for name in names:
+            Worker(paths, name).run(until_s=until_s)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
     return 0
+
+
+def main() -> int:
+    """Run the trials of the studies that the command line names."""
+    parser = argparse.ArgumentParser(prog="python -P -m studies.tuning.worker", description=__doc__)
+    parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
+    parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
+    chosen = parser.parse_args()
+    return run_studies(find_project(None), chosen.studies, chosen.until)
 
 
 if __name__ == "__main__":
