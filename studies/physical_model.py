@@ -50,9 +50,27 @@ def open_physical_model(
     """
     case = case or study.case
     with ExitStack() as opened:
-        parts = case.experiments or (case,)
-        stores = [opened.enter_context(_store(study, one)) for one in parts]
-        model = opened.enter_context(_supervised(study, case, policy or case.policy))
+        stores = [
+            opened.enter_context(
+                SimulationStore(
+                    store_file(study.paths, one),
+                    model_digest=one.model_digest,
+                    parameter_names=one.parameter_space.names,
+                    output_names=one.settings.output_names,
+                    time=one.scenario.time,
+                )
+            )
+            for one in case.experiments or (case,)
+        ]
+        n_jobs, executor = study.n_jobs, None
+        if study.dask is not None:
+            # Dask takes a second to import.
+            from simulation.pool.dask_executor import DaskExecutor
+
+            n_jobs, executor = None, opened.enter_context(DaskExecutor(study.dask))
+        policy, warn = policy or case.policy, study.console.warn
+        pool = PoolModel(case.make_model, n_jobs, policy=policy, executor=executor, on_warning=warn)
+        model = opened.enter_context(pool)
         stored = StoredModel(model, stores[0], retry_failed=study.retry_failed)
         if case.layout is not None:
             store = JoinedStore(store_file(study.paths, case), stores, case.layout)
@@ -63,17 +81,6 @@ def open_physical_model(
             yield stored
         except TooManyFailuresError as stopped:
             raise StageError(f"{stopped}; the finished simulations are kept") from stopped
-
-
-def _store(study: Study, case: Case) -> SimulationStore:
-    """Open the store of a single experiment."""
-    return SimulationStore(
-        store_file(study.paths, case),
-        model_digest=case.model_digest,
-        parameter_names=case.parameter_space.names,
-        output_names=case.settings.output_names,
-        time=case.scenario.time,
-    )
 
 
 @contextmanager
@@ -110,23 +117,6 @@ def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int 
     n_reused = model.n_reused - n_repeated
     if n_reused:
         study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
-
-
-@contextmanager
-def _supervised(study: Study, case: Case, policy: ExecutionPolicy) -> Iterator[ForwardModel]:
-    """Open the model in processes of this machine, or of the cluster that was asked for."""
-    warn = study.console.warn
-    with ExitStack() as opened:
-        executor = None
-        if study.dask is not None:
-            # Dask takes a second to import.
-            from simulation.pool.dask_executor import DaskExecutor
-
-            executor = opened.enter_context(DaskExecutor(study.dask))
-        n_jobs = study.n_jobs if executor is None else None
-        yield opened.enter_context(
-            PoolModel(case.make_model, n_jobs, policy=policy, executor=executor, on_warning=warn)
-        )
 
 
 N_UNREAD = 2

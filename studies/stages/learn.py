@@ -90,24 +90,14 @@ def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
     Args:
         study: the study.
         simulated: the sets.
-
-    Raises:
-        InputError: a set has fewer rows than asked for, or the parameters of another case.
     """
     budget, space = study.profile.tuning, study.case.parameter_space
     files = set_files(study, simulated)
     sets = {name: RowSet.load(files[name]).read() for name in SETS}
-    for name, rows in sets.items():
-        if tuple(rows.parameter_names) != space.names:
-            raise InputError(f"{files[name]} has other parameters than the case; simulate it again")
-    longer = {"max_epochs": budget.max_epochs, "patience": budget.patience}
-    longer = {name: value for name, value in longer.items() if value is not None}
+    given = {"max_epochs": budget.max_epochs, "patience": budget.patience}
+    longer = {name: value for name, value in given.items() if value is not None}
     found = []
     for n_train in study.profile.data.n_train:
-        if sets["train"].n < n_train:
-            raise InputError(
-                f"{files['train']} has {sets['train'].n} rows, n_train is {n_train}; simulate more"
-            )
         digests = {name: sets[name].digest for name in ("validation", "test")}
         digests["train"] = sets["train"].take(np.arange(n_train)).digest
         spec = Declaration(
