@@ -164,12 +164,12 @@ def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
 def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
     spec = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf).spec
     storage, tracking = project.paths.optuna_url, project.paths.tracking_uri
-    lines = (
+    return [
+        "In Python:",
         f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
         f'  mlflow.set_tracking_uri("{tracking}")',
         f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
-    )
-    return ["In Python:", *lines]
+    ]
 
 
 def best_calibrations(project: Project) -> list[FinishedCalibration]:

@@ -16,7 +16,6 @@ from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
 from studies.stages.calibrate_stage import best_surrogate
-from studies.stages.finished import stored_indices
 from studies.stages.pipeline import Study
 from studies.stages.simulate_stage import TEST_SEED, sensitivity_stage
 from studies.surrogate_model import SurrogateModel
@@ -89,9 +88,7 @@ def run(plan: Plan) -> Shown:
 
 def important_parameters(study: Study) -> tuple[str, ...]:
     """Return the six parameters of largest first-order Sobol index, averaged over time (Fig. 5)."""
-    sensitivity_stage(study)
-    indices = stored_indices(study)
-    assert indices is not None, "the stage has stored them"
+    indices = sensitivity_stage(study).result
     return tuple(indices.names[i] for i in indices.order()[:N_IMPORTANT])
 
 

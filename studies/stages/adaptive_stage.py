@@ -43,12 +43,12 @@ NEWS_EVERY_S = 30.0
 def adaptive_stage(
     study: Study,
     *,
-    max_calls: int | None = None,
-    n_parallel: int = 1,
-    target_mse: float | None = None,
-    from_stored: bool = False,
-    state_equations: bool | None = None,
-    again: bool = False,
+    max_calls: int | None,
+    n_parallel: int,
+    target_mse: float | None,
+    from_stored: bool,
+    state_equations: bool | None,
+    again: bool,
 ) -> Outcome[Calibration]:
     """Calibrate with the physical model alone.
 
@@ -121,9 +121,9 @@ def _check_budget(settings: Adaptive, n_parameters: int, *, learns: bool) -> Non
 def calibrate_adaptively(
     study: Study,
     settings: Adaptive,
-    start: ChooseRows | None = None,
+    start: ChooseRows | None,
     *,
-    state_equations: bool = False,
+    state_equations: bool,
 ) -> Calibration:
     """Calibrate and keep nothing but the simulations.
 

@@ -93,15 +93,14 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
         difference = case.measurement.differences(y[None], k)[0]
         sensor = float(case.measurement.uncertainty[k])
         whole = output_fit(case.measurement, k, output.unit, y)
-        fit = Fit(whole.rmse, nrmse=whole.nrmse, cv_rmse=whole.cv_rmse)
+        more = dict[str, float]()
         if np.isfinite(sensor):
-            share = float(np.mean(np.abs(difference) <= sensor))
-            fit = replace(fit, uncertainty=sensor, share_within=share)
+            more |= {"uncertainty": sensor, "share_within": float(np.mean(np.abs(difference) <= sensor))}
         if case.measurement.limits_of(k) is not None:
             excess = case.measurement.excess(y[None], k)[0]
-            largest, share = float(excess[np.argmax(np.abs(excess))]), float(np.mean(excess != 0.0))
-            fit = replace(fit, largest_excess=largest, share_beyond=share)
-        found[output.name] = fit
+            more["largest_excess"] = float(excess[np.argmax(np.abs(excess))])
+            more["share_beyond"] = float(np.mean(excess != 0.0))
+        found[output.name] = Fit(whole.rmse, nrmse=whole.nrmse, cv_rmse=whole.cv_rmse, **more)
     return found
 
 

@@ -1,8 +1,9 @@
 """The examination of a case as a stage: done once per case, unless asked for."""
 
 from studies.doctor import Diagnosis, examine
+from studies.stages.finished import stored
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Stage, Study, read_outcome
+from studies.stages.pipeline import Outcome, Stage, Study
 
 
 def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> Outcome[Diagnosis]:
@@ -24,10 +25,10 @@ def found_of_the_step(study: Study) -> str | None:
     Returns:
         "" where it found nothing wrong, None where the case was not examined.
     """
-    before = read_outcome(study.results, "check", Diagnosis)
-    if before is None or before.inputs["case"] != study.case.digest:
+    before = stored(study, "check", Diagnosis)
+    if before is None:
         return None
-    for one in before.result.findings:
+    for one in before.findings:
         if "half the communication step" in one.what and one.level == "warn":
             return f"{one.what} {one.found}: {one.remedy}"
     return ""

@@ -2,15 +2,17 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
-from studies.sobol import SobolIndices
 from studies.stages.knowledge import is_current
 from studies.stages.pipeline import Outcome, Study, read_json, read_outcome
 from studies.stages.stage_results import Calibration, Uncertainty
+
+T = TypeVar("T")
 
 
 def stored_calibrations(study: Study) -> Iterator[Outcome[Calibration]]:
@@ -30,9 +32,15 @@ def stored_uncertainties(study: Study) -> Iterator[Outcome[Uncertainty]]:
             yield found
 
 
-def stored_indices(study: Study) -> SobolIndices | None:
-    """Return the Sobol indices of this case, None where there are none."""
-    found = read_outcome(study.results, "sensitivity", SobolIndices)
+def stored(study: Study, stage: str, kind: type[T]) -> T | None:
+    """Return what a stage came to for this case, whatever it was measured with; None where there is nothing.
+
+    Args:
+        study: the study.
+        stage: name of the stage.
+        kind: type of its result.
+    """
+    found = read_outcome(study.results, stage, kind)
     return None if found is None or found.inputs["case"] != study.case.digest else found.result
 
 

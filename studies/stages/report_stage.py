@@ -1,14 +1,13 @@
 """The last stage: everything that lies on disk on one page."""
 
-from pathlib import Path
-
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from studies.provenance import file_digest
 from studies.report.page import ReportData, write_page
 from studies.row_set import RowSet
-from studies.stages.finished import stored_calibrations, stored_indices, stored_uncertainties
-from studies.stages.pipeline import Outcome, Stage, Study, read_outcome
+from studies.sobol import SobolIndices
+from studies.stages.finished import stored, stored_calibrations, stored_uncertainties
+from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.stage_results import Reported, SimulatedSets
 from studies.stages.stage_runs import log_report
 from studies.stages.tuned_trials import trials_record, tuned_by_size
@@ -30,8 +29,7 @@ def report_stage(study: Study) -> Outcome[Reported]:
             f"{study.label} has no calibration to report; type: studies calibrate {study.command}"
         )
     tuned, baselines = (tuned_by_size(study, baseline=is_baseline) for is_baseline in (False, True))
-    stages = ["simulate", "sensitivity", *(one.stage for one in calibrations)]
-    stages += [one.stage for one in uncertainties]
+    stages = ["simulate", "sensitivity", *(one.stage for one in (*calibrations, *uncertainties))]
     files = [study.results / f"{stage}.json" for stage in stages]
     inputs = {
         "case": [study.case.digest, file_digest(study.case.path)],
@@ -52,7 +50,7 @@ def report_stage(study: Study) -> Outcome[Reported]:
             study.case,
             calibrations,
             coverage=_coverage(study),
-            sensitivity=stored_indices(study),
+            sensitivity=stored(study, "sensitivity", SobolIndices),
             tuned=tuple(one.summary(baselines.values()) for one in tuned.values() if one.best is not None),
             trials=trials_record(tuned),
             uncertainties=tuple(one.result for one in uncertainties),
@@ -72,8 +70,8 @@ def show_report(study: Study, found: Reported) -> None:
 
 def _coverage(study: Study) -> FloatArray | None:
     """Return the first rows of the training design, None where nothing was simulated. Shape (n, t, k)."""
-    outcome = read_outcome(study.results, "simulate", SimulatedSets)
-    if outcome is None or outcome.inputs["case"] != study.case.digest:
+    sets = stored(study, "simulate", SimulatedSets)
+    if sets is None:
         return None
-    file: Path = study.paths.root / outcome.result.files["train"]
+    file = study.paths.root / sets.files["train"]
     return RowSet.load(file).read(N_COVERAGE).y if file.is_file() else None

@@ -34,20 +34,18 @@ class ForkedWorker:
         paths: the project.
         names: names of the studies.
         until_s: no trial begins after this moment. [s since 1970, UTC]
+
+    Attributes:
+        process: the process; it exits with 2 where a study cannot be used.
     """
 
     def __init__(self, paths: ProjectPaths, names: Sequence[str], until_s: float | None) -> None:
         # A file and no pipe: a full pipe would stop the worker until it is read.
         self._said = tempfile.NamedTemporaryFile()  # noqa: SIM115 (closed with its worker)
         given = (paths, names, until_s, self._said.name, dict(os.environ))
-        self._process = _FORKED.Process(target=_work, args=given, daemon=True)
+        self.process = _FORKED.Process(target=_work, args=given, daemon=True)
         with _fork_server():
-            self._process.start()
-
-    @property
-    def exit_code(self) -> int | None:
-        """None while it runs; 2 where a study cannot be used, minus the signal where one ended it."""
-        return self._process.exitcode
+            self.process.start()
 
     def last_line(self) -> str:
         """Return the last line of what it printed; it has ended."""
@@ -56,13 +54,9 @@ class ForkedWorker:
             lines = messages.read().decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else "no message"
 
-    def kill(self) -> None:
-        """Kill it, and do not wait for its end."""
-        self._process.kill()
-
     def join(self) -> None:
         """Wait for its end."""
-        self._process.join()
+        self.process.join()
         self._said.close()
 
 

@@ -83,9 +83,9 @@ class _Size:
             InputError: a worker found the study unusable.
             StageError: a worker failed, or died again and again before it ended a trial.
         """
-        for worker in [one for one in self.workers if one.exit_code is not None]:
+        for worker in [one for one in self.workers if one.process.exitcode is not None]:
             self.workers.remove(worker)
-            code, said = worker.exit_code, worker.last_line()
+            code, said = worker.process.exitcode, worker.last_line()
             assert code is not None, "it has ended"
             if code == 0:
                 continue
@@ -111,7 +111,7 @@ class _Size:
         """Stop the workers and give their trials back."""
         for worker in self.workers:
             # All are killed before the first is waited for.
-            worker.kill()
+            worker.process.kill()
         for worker in self.workers:
             worker.join()
         # What cannot be done now, as where the storage is away, the next command does.
