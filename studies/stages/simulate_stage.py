@@ -16,6 +16,7 @@ from studies.row_set import RowSet
 from studies.sobol import SobolIndices, sobol_indices
 from studies.stages.pipeline import Outcome, Stage, Study, digest_of
 from studies.stages.stage_results import SimulatedSets
+from studies.stages.stage_runs import log_sensitivity
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
 """Validation and test sets are the same for every profile and seed, so that all errors can be compared."""
@@ -158,10 +159,4 @@ def sensitivity_stage(study: Study) -> Outcome[SobolIndices]:
             study.console.say("sensitivity: making MLflow's store, once")
         return indices
 
-    def log(study: Study, outcome: Outcome[SobolIndices]) -> None:
-        # MLflow takes seconds to import, which a dry run and the sets of simulations do without.
-        from studies.stages.stage_runs import log_sensitivity
-
-        log_sensitivity(study, outcome)
-
-    return stage.once(estimate, log=log)
+    return stage.once(estimate, log=log_sensitivity)

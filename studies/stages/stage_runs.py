@@ -15,7 +15,6 @@ from studies.stages.pipeline import Outcome, Study
 from studies.stages.saved import plain
 from studies.stages.stage_results import Calibration, Prediction, Reported, Uncertainty
 from studies.tracking.origin import environment
-from studies.tracking.runs import log_stage
 
 
 def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
@@ -39,7 +38,7 @@ def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
         metrics |= {
             "mse/surrogate": screened.mse_surrogate,
             "mse/screened": screened.mse,
-            "mse/screening_gap": screened.gap,
+            "mse/screening_gap": screened.mse - screened.mse_surrogate,
             "calls/polish": found.ledger["n_polish"],
             **screened.errors,
         }
@@ -135,6 +134,9 @@ def _log(
     **more: Any,
 ) -> None:
     """Log what every stage has, and more."""
+    # MLflow takes seconds to import, which a stage that is finished does without.
+    from studies.tracking.runs import log_stage
+
     arrays = study.results / f"{outcome.stage}.npz"
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
