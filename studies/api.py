@@ -190,11 +190,8 @@ def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
 
 def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResult:
     """Return the calibration of least error among those that a command left."""
-    found = [one for one in outcomes if isinstance(one.result, Calibration)]
-    return _result(study, min(found, key=lambda one: one.result.mse))
-
-
-def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
+    calibrations = [one for one in outcomes if isinstance(one.result, Calibration)]
+    outcome: Outcome[Calibration] = min(calibrations, key=lambda one: one.result.mse)
     case, found, series = study.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
     at, judged, space = case.measurement.time, found.determined_by_data, case.parameter_space
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))

@@ -15,6 +15,10 @@ from studies.console import Console
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
 
+MARKER = "studies.toml"
+ROOT_VARIABLE = "STUDIES_ROOT"
+TEXT = "# This folder is a project of `studies`: results go to mlruns/ and data/, own cases to fmus/.\n"
+
 
 @dataclass(frozen=True)
 class ProjectPaths:
@@ -145,16 +149,24 @@ def size_name(n_train: int) -> str:
 
 
 def find_project(storage: str | None) -> ProjectPaths:
-    """Find the project that the working folder belongs to.
+    """Find the project: the nearest folder with a marker, from the working folder upwards.
+
+    Where there is none, it is the working folder. `$STUDIES_ROOT` names another folder to begin at.
 
     Args:
         storage: PostgreSQL URL; None takes `$STUDIES_STORAGE`, and files where that is not set either.
 
     Raises:
-        InputError: the project's folder is not to be found, or the storage is no URL of a database.
+        InputError: `$STUDIES_ROOT` is set and is no folder, or the storage is no URL of a database.
     """
+    declared = os.environ.get(ROOT_VARIABLE)
+    begin = Path(declared).expanduser() if declared else Path.cwd()
+    if not begin.is_dir():
+        raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
+    begin = begin.resolve()
+    root = next((folder for folder in (begin, *begin.parents) if (folder / MARKER).is_file()), begin)
     url = storage or os.environ.get(STORAGE_VARIABLE)
-    return ProjectPaths(find_root(), read_storage(url) if url else None)
+    return ProjectPaths(root, read_storage(url) if url else None)
 
 
 def find_case(paths: ProjectPaths, case: str) -> Path:
@@ -217,30 +229,6 @@ def opening(paths: ProjectPaths, program: str, file: Path) -> Iterator[None]:
         raise kind(
             f"{program} cannot open {where} ({said}); check that it can be reached and written"
         ) from None
-
-
-MARKER = "studies.toml"
-ROOT_VARIABLE = "STUDIES_ROOT"
-TEXT = "# This folder is a project of `studies`: results go to mlruns/ and data/, own cases to fmus/.\n"
-
-
-def find_root() -> Path:
-    """Find the project's folder: the nearest one with a marker, from the working folder upwards.
-
-    Where there is none, it is the working folder. `$STUDIES_ROOT` names another folder to begin at.
-
-    Raises:
-        InputError: `$STUDIES_ROOT` is set and is no folder.
-    """
-    declared = os.environ.get(ROOT_VARIABLE)
-    begin = Path(declared).expanduser() if declared else Path.cwd()
-    if not begin.is_dir():
-        raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
-    begin = begin.resolve()
-    for folder in (begin, *begin.parents):
-        if (folder / MARKER).is_file():
-            return folder
-    return begin
 
 
 def mark_project(root: Path, console: Console) -> None:

@@ -139,7 +139,7 @@ def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[s
                 f'search.{name} has no effect on surrogate "{surrogate}", which has {", ".join(known)}'
             )
         for other in parameter.when:
-            if other not in seen and other not in known:
+            if other not in known:
                 raise ValueError(f"search.{name}.when names {other}, which is no setting of the surrogate")
             if other in space and other not in seen:
                 raise ValueError(f"search.{name}.when names {other}; declare {other} before {name}")

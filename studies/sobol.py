@@ -1,6 +1,5 @@
 """Sobol indices of every output at every time step."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +8,12 @@ from simulation.arrays import FloatArray, IntArray
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.store.stored_model import StoredModel
+from studies.console import OnProgress
 from studies.stages.saved import WITH_ARRAYS
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
 CONSTANT = 1e-6
 CONFIDENCE_LEVEL = 0.95
-
-OnProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ Any worker, on any machine of the project, can go on with a study from its name 
 """
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -145,7 +144,8 @@ class Declaration:
             place: the trial's place in the study; a retry has that of the trial it repeats.
             use: 0 for the sampler, 1 for the training.
         """
-        return derived_seed(self.seed, self.n_train, place, use)
+        # Hashed, not added: sums of seed and place would give two trials one stream.
+        return int(np.random.SeedSequence([self.seed, self.n_train, place, use]).generate_state(1)[0])
 
     def file(self, paths: ProjectPaths, name: str) -> Path:
         """Return where a set lies.
@@ -162,14 +162,3 @@ class Declaration:
     def to_dict(self) -> dict[str, Any]:
         """Return the declaration as JSON values."""
         return plain(self)
-
-
-def output_metric(output_name: str) -> str:
-    """Return the name of the error of one of several outputs, of characters that MLflow allows."""
-    return "mae_" + re.sub(r"[^\w.-]", "_", output_name, flags=re.ASCII)
-
-
-def derived_seed(seed: int, *path: int) -> int:
-    """Derive an independent seed from a seed and whole numbers that name its use."""
-    # Hashed, not added: sums of seed and place would give two trials one stream.
-    return int(np.random.SeedSequence([seed, *path]).generate_state(1)[0])

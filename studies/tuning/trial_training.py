@@ -1,6 +1,7 @@
 """Train and judge the surrogate of one trial; knows neither Optuna nor MLflow."""
 
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +15,7 @@ from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.row_set import RowSet
-from studies.tuning.declaration import SETS, Declaration, output_metric
+from studies.tuning.declaration import SETS, Declaration
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 # Before, ranks say next to nothing: at a tenth they correlate with the end by 0.37.
@@ -112,5 +113,6 @@ def judge(surrogate: Surrogate, spec: Declaration, data: StudyData) -> dict[str,
         if len(spec.output_names) > 1:
             by_output = np.abs(predicted - y).mean(axis=(0, 1))
             for output, mae in zip(spec.output_names, by_output, strict=True):
-                judged[f"{name}/{output_metric(output)}"] = float(mae)
+                allowed = re.sub(r"[^\w.-]", "_", output, flags=re.ASCII)  # in names of MLflow
+                judged[f"{name}/mae_{allowed}"] = float(mae)
     return judged

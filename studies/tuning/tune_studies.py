@@ -72,10 +72,6 @@ class _Size:
         is_full = len(self.workers) >= n_parallel
         return not is_full and any(attempts.is_unfinished(part.trials, part.n_planned) for part in self.parts)
 
-    def start_worker(self, paths: ProjectPaths, until_s: float | None) -> None:
-        names = [part.spec.name for part in self.parts]
-        self.workers.append(ForkedWorker(paths, names, until_s))
-
     def look_after_workers(self) -> None:
         """See which workers have ended, and why.
 
@@ -185,8 +181,9 @@ def tune(
                 may_begin = bool(n_free) and not is_late
                 waiting = [size for size in largest_first if may_begin and size.is_waiting(n_parallel)]
                 for size in waiting:
+                    names = [part.spec.name for part in size.parts]
                     for _ in range(min(n_free, n_parallel - len(size.workers))):
-                        size.start_worker(paths, until_s)
+                        size.workers.append(ForkedWorker(paths, names, until_s))
                         n_free -= 1
                 busy = [size for size in largest_first if size.workers]
                 for part in (part for size in busy for part in size.parts):
