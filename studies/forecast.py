@@ -7,7 +7,7 @@ from studies.physical_model import store_file
 from studies.report.wording import MISSING
 from studies.stages.pipeline import Study
 from studies.stages.simulate_stage import missing_rows
-from studies.tuning.study_results import latest_studies, read_studies
+from studies.stages.tuned_trials import tuned_by_size
 
 
 def foretell(study: Study, command: str) -> None:
@@ -19,11 +19,11 @@ def foretell(study: Study, command: str) -> None:
     """
     data, tuning = study.profile.data, study.profile.tuning
     n_missing, n_all = missing_rows(study)
-    known = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
+    known = tuned_by_size(study)
     rows: list[list[object]] = [["simulations", f"{n_missing} of {n_all}", MISSING]]
     sizes = []
     for n_train in data.n_train:
-        found = known.get((n_train, False))
+        found = known.get(n_train)
         n_left = tuning.n_trials if found is None else max(tuning.n_trials - found.n_ended, 0)
         left_s = None if found is None else replace(found, n_planned=tuning.n_trials).to_go_s
         time = "unknown before the first trial" if left_s is None else format_seconds(left_s)

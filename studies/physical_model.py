@@ -114,8 +114,7 @@ def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int 
         model: the model that was asked.
         n_repeated: rows that the stage asked for once more; they do not count again.
     """
-    n_reused = model.n_reused - n_repeated
-    if n_reused:
+    if n_reused := model.n_reused - n_repeated:
         study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
 
 

@@ -18,7 +18,7 @@ from studies.stages.pipeline import Outcome, StageError, Study, digest_of
 from studies.stages.simulate_stage import set_files
 from studies.stages.stage_results import SimulatedSets, Tuned
 from studies.tuning.attempts import places
-from studies.tuning.declaration import SETS, Declaration
+from studies.tuning.declaration import Declaration
 from studies.tuning.sampler import make_pruner, make_sampler
 from studies.tuning.study_results import TunedStudy
 from studies.tuning.tune_studies import closed_studies, tune
@@ -92,8 +92,7 @@ def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
         simulated: the sets.
     """
     budget, space = study.profile.tuning, study.case.parameter_space
-    files = set_files(study, simulated)
-    sets = {name: RowSet.load(files[name]).read() for name in SETS}
+    sets = {name: RowSet.load(file).read() for name, file in set_files(study, simulated).items()}
     given = {"max_epochs": budget.max_epochs, "patience": budget.patience}
     longer = {name: value for name, value in given.items() if value is not None}
     found = []
@@ -118,7 +117,7 @@ def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
             output_names=tuple(sets["train"].output_names),
             output_unit=study.case.outputs[0].unit,
             output_scales=tuple(study.case.measurement.error_scales.tolist()),
-            files={name: study.paths.recorded(files[name]) for name in SETS},
+            files=simulated.files,
             digests={"case": study.case.digest, "fmu": study.case.fmu.sha256, **digests},
             device=budget.device,
             max_trial_s=budget.max_trial_s,
