@@ -50,18 +50,16 @@ def open_physical_model(
     """
     case = case or study.case
     with ExitStack() as opened:
-        stores = [
-            opened.enter_context(
-                SimulationStore(
-                    store_file(study.paths, one),
-                    model_digest=one.model_digest,
-                    parameter_names=one.parameter_space.names,
-                    output_names=one.settings.output_names,
-                    time=one.scenario.time,
-                )
+        stores = list[SimulationStore]()
+        for one in case.experiments or (case,):
+            part = SimulationStore(
+                store_file(study.paths, one),
+                model_digest=one.model_digest,
+                parameter_names=one.parameter_space.names,
+                output_names=one.settings.output_names,
+                time=one.scenario.time,
             )
-            for one in case.experiments or (case,)
-        ]
+            stores.append(opened.enter_context(part))
         n_jobs, executor = study.n_jobs, None
         if study.dask is not None:
             # Dask takes a second to import.

@@ -61,9 +61,8 @@ class SearchParameter:
             raise ValueError(f"low = {self.low} is larger than high = {self.high}")
         if self.log and (self.low <= 0 or self.step is not None):
             raise ValueError("log = true needs low > 0 and no step")
-        if self.kind == "int" and not all(
-            float(v).is_integer() for v in (self.low, self.high, self.step or 1)
-        ):
+        numbers = (self.low, self.high, self.step or 1)
+        if self.kind == "int" and not all(float(v).is_integer() for v in numbers):
             raise ValueError('low, high and step of kind "int" are whole numbers')
 
     def is_asked(self, settings: Mapping[str, Any]) -> bool:

@@ -79,9 +79,8 @@ class Study:
         folder, files = case.path.parent, {case.path: None}
         for declared in (one.file for one in read_experiments(case.path)):
             names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs if one.file]
-            files |= dict.fromkeys(
-                [folder / declared.fmu, *(folder / declared.data / name for name in names)]
-            )
+            data = folder / declared.data
+            files |= dict.fromkeys([folder / declared.fmu, *(data / name for name in names)])
         made = Provenance(
             schema=SCHEMA,
             kind=kind,

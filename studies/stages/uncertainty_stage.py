@@ -146,8 +146,7 @@ def _judge(
         emulator = None if learned_ode is None else learned_ode.model
         sampling = sampling_within(max_calls, n_parameters)
         if emulator is not None:
-            n_particles = particles_for(emulator.n_operations)
-            sampling = replace(sampling, n_of_emulator=n_particles)
+            sampling = replace(sampling, n_of_emulator=particles_for(emulator.n_operations))
         found = assess(
             problem,
             theta,
