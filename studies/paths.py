@@ -133,8 +133,8 @@ def folder_name(name: str) -> str:
     Raises:
         InputError: it would lead to another place, or holds what no name may hold.
     """
-    leads_elsewhere = name in ("", ".", "..") or "/" in name
-    if leads_elsewhere or has_control(name) or len(name.encode(errors="replace")) > 200:
+    leads_away = name in ("", ".", "..") or "/" in name
+    if leads_away or has_control(name) or len(name.encode(errors="replace")) > 200:
         raise InputError(f"{quoted(name)} is no name of a case or a label; `studies status` lists the labels")
     return name
 
