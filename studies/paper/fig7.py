@@ -16,7 +16,6 @@ from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
 from studies.stages.calibrate_stage import best_surrogate
-from studies.stages.finished import stored_indices
 from studies.stages.pipeline import Study
 from studies.stages.simulate_stage import TEST_SEED, sensitivity_stage
 from studies.surrogate_model import SurrogateModel
@@ -61,8 +60,8 @@ SIZE = SpreadSize
 
 def run(plan: Plan) -> Shown:
     """Simulate the test sets and let the best of every size, trained again, predict them."""
-    chosen = chosen_settings(plan)
-    trained = {n: train_again(plan.study, n, chosen.settings[n]) for n in plan.budget.n_train}
+    settings, window_d = chosen_settings(plan)
+    trained = {n: train_again(plan.study, n, settings[n]) for n in plan.budget.n_train}
     study = next(iter(trained.values()))[0]
     important = important_parameters(plan.study)
     judged, n_rows = _judge(study, plan.budget.n_spread, important)
@@ -71,8 +70,8 @@ def run(plan: Plan) -> Shown:
         SpreadSize(
             n_train=n,
             surrogate=study.profile.tuning.surrogate,
-            settings=chosen.settings[n],
-            tuned_on_d=chosen.window_d,
+            settings=settings[n],
+            tuned_on_d=window_d,
             training_s=round(training_s, 1),
             important=important,
             n_spread=plan.budget.n_spread,
@@ -89,9 +88,7 @@ def run(plan: Plan) -> Shown:
 
 def important_parameters(study: Study) -> tuple[str, ...]:
     """Return the six parameters of largest first-order Sobol index, averaged over time (Fig. 5)."""
-    sensitivity_stage(study)
-    indices = stored_indices(study)
-    assert indices is not None, "the stage has stored them"
+    indices = sensitivity_stage(study).result
     return tuple(indices.names[i] for i in indices.order()[:N_IMPORTANT])
 
 

@@ -1,7 +1,6 @@
 """The surrogates of Fig. 7 and Table 4: the best of each size in Fig. 6, trained once more on other data."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from simulation.errors import InputError
 from studies.paper.fig6 import SizeTrials
@@ -15,21 +14,11 @@ from studies.stages.simulate_stage import simulate_stage
 Settings = dict[str, Value]
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """What Fig. 6 chose.
+def chosen_settings(plan: Plan) -> tuple[dict[int, Settings], tuple[float, float]]:
+    """Choose the best trials of Fig. 6 by validation error.
 
-    Args:
-        settings: hyperparameters of the best trial by validation error, by training-set size.
-        window_d: days on which they were tuned. [d]
-    """
-
-    settings: Mapping[int, Settings]
-    window_d: tuple[float, float]
-
-
-def chosen_settings(plan: Plan) -> Chosen:
-    """Return the hyperparameters of the best trial of each of the plan's sizes.
+    Returns:
+        Their hyperparameters by training-set size; first and last day on which they were tuned [d].
 
     Raises:
         InputError: there are no trials of a size, or they are those of another form of the surrogate.
@@ -45,7 +34,7 @@ def chosen_settings(plan: Plan) -> Chosen:
                 f"{folder} holds trials of surrogate {tunings[n].surrogate!r}, the profile asks for "
                 f"{wanted!r}; name a profile with --profile"
             )
-    return Chosen({n: dict(tunings[n].best.params) for n in plan.budget.n_train}, origin.window_d)
+    return {n: dict(tunings[n].best.params) for n in plan.budget.n_train}, origin.window_d
 
 
 def train_again(study: Study, n_train: int, settings: Settings) -> tuple[Study, float]:
