@@ -118,14 +118,23 @@ def _nowhere() -> TextIO:
 
 
 def _report(console: Console, error: BaseException) -> int:
-    """Report the error that ended a command, and return its exit code."""
+    """Report the error that ended a command in one line; an unforeseen one also prints its traceback.
+
+    Returns:
+        The exit code.
+    """
     if isinstance(error, InputError) and not isinstance(error, MachineError):
         return _ended(console, " ".join(str(error).split()), BAD_INPUT)
     if isinstance(error, BrokenPipeError):
         # The reader of the output closed it: nothing has failed, and nothing can be reported.
         sys.stdout = None
         return UNHEARD
-    return _failed(console, error)
+    from studies.stages.pipeline import StageError
+
+    explained = explain(error)
+    if explained is None and not isinstance(error, StageError | MachineError):
+        sys.stderr.write(escaped("".join(traceback.format_exception(error)), keep_lines=True))
+    return _ended(console, explained or " ".join(f"{error}".split()) or type(error).__name__, FAILED)
 
 
 def _understand(arguments: Sequence[str]) -> argparse.Namespace:
@@ -134,11 +143,10 @@ def _understand(arguments: Sequence[str]) -> argparse.Namespace:
     Raises:
         _UsageError: there is no such command or option, or a value is wrong.
     """
-    first = next((word for word in arguments if not word.startswith("-")), "")
-    if first and first not in COMMANDS and arguments[0] == first:
-        close = get_close_matches(first, COMMANDS, n=1)
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+        close = get_close_matches(arguments[0], COMMANDS, n=1)
         hint = f"did you mean `studies {close[0]}`?" if close else "`studies --help` lists them"
-        raise _UsageError(f"there is no command {first!r}; {hint}")
+        raise _UsageError(f"there is no command {arguments[0]!r}; {hint}")
     chosen, unknown = build_parser().parse_known_args(arguments)
     if unknown:
         words = " ".join(unknown)
@@ -219,16 +227,6 @@ def _interrupted(console: Console, again: str) -> int:
     console.warn(f"interrupted; finished work is kept, go on with: {again}")
     console.document({"error": "interrupted", "go_on_with": again})
     return INTERRUPTED
-
-
-def _failed(console: Console, error: BaseException) -> int:
-    """Report a failed stage in one line; an unforeseen error also prints its traceback."""
-    from studies.stages.pipeline import StageError
-
-    explained = explain(error)
-    if explained is None and not isinstance(error, StageError | MachineError):
-        sys.stderr.write(escaped("".join(traceback.format_exception(error)), keep_lines=True))
-    return _ended(console, explained or " ".join(f"{error}".split()) or type(error).__name__, FAILED)
 
 
 _REMEDIES = {

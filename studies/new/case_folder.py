@@ -4,7 +4,7 @@ import argparse
 import filecmp
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from studies.new.choice import (
 )
 from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
 from studies.paths import ProjectPaths, mark_project
-from studies.report.wording import count
+from studies.report.wording import axis_label, count
 
 
 @dataclass(frozen=True)
@@ -47,31 +47,21 @@ class MadeCase:
     to_edit: tuple[tuple[int, str], ...]
 
 
-def make_case(
-    fmu_file: Path,
-    paths: ProjectPaths,
-    *,
-    folder: Path | None = None,
-    outputs: Sequence[str] = (),
-    parameters: Sequence[str] = (),
-) -> MadeCase:
+def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
     """Write a case file for an FMU, copy the FMU beside it and lay out the folder of its recordings.
 
     Args:
-        fmu_file: The FMU.
+        options: The words of `studies new`.
         paths: The project.
-        folder: Folder of the case; None for fmus/<name of the FMU's file>.
-        outputs: Names or patterns of the outputs that are measured; empty for the first.
-        parameters: Names or patterns of the parameters to calibrate; empty for those at the top level.
 
     Raises:
         InputError: The FMU cannot be used, a name is not in it, there is a case file or another FMU of that
             name, or the folder cannot be written.
     """
-    fmu = describe(fmu_file)
-    folder = _folder(fmu_file, paths, folder)
+    fmu_file: Path = options.fmu.expanduser()
+    fmu, folder = describe(fmu_file), _folder(fmu_file, paths, options.to)
     name = case_name(folder.name)
-    chosen = choose_parameters(fmu, parameters)
+    chosen = choose_parameters(fmu, options.parameter)
     is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
     data = paths.data / name if is_named else folder
     case = NewCase(
@@ -83,7 +73,7 @@ def make_case(
         interface="co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange",
         inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
         held_inputs=inputs_of(fmu, held=True),
-        outputs=choose_outputs(fmu, outputs),
+        outputs=choose_outputs(fmu, options.output),
         parameters=chosen,
         fixable=other_parameters(fmu),
         times=choose_times(fmu),
@@ -151,26 +141,19 @@ def case_name(text: str) -> str:
 
 def _folder(fmu_file: Path, paths: ProjectPaths, wanted: Path | None) -> Path:
     if wanted is not None:
-        return wanted.resolve()
+        return wanted.expanduser().resolve()
     # An FMU that was put into a folder of its own below fmus/ stays there.
     if fmu_file.resolve().parent.parent == paths.fmus.resolve():
         return fmu_file.resolve().parent
     return paths.fmus / case_name(fmu_file.stem)
 
 
-OK = 0
 _NUMBERS = [Column(word, True) for word in ("start", "min", "max")]
 
 
 def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
     """Write a case and say what comes next."""
-    made = make_case(
-        Path(options.fmu).expanduser(),
-        paths,
-        folder=None if options.to is None else Path(options.to).expanduser(),
-        outputs=options.output or (),
-        parameters=options.parameter or (),
-    )
+    made = make_case(options, paths)
     mark_project(paths.root, console)
     case, name = made.case, paths.show(made.file)
     for file in made.files:
@@ -196,17 +179,15 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
             "next": [f"studies check {case.place}", f"studies calibrate {case.place}"],
         }
     )
-    return OK
+    return 0
 
 
-def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
+def list_variables(options: argparse.Namespace, console: Console) -> int:
     """Show what an FMU can be given and asked."""
-    fmu = describe(Path(options.fmu).expanduser())
-    named = options.parameter or ()
+    fmu, named = describe(options.fmu.expanduser()), options.parameter
     is_any = named or parameter_candidates(fmu)
     active = {v.name for v in choose_parameters(fmu, named).used} if is_any else set()
     document: dict[str, Any] = {"command": "new"}
-
     for what in (*["output"] * bool(fmu.names("output")), "input", "parameter", "local"):
         found = [fmu.variables[name] for name in fmu.names(what)]
         document[f"{what}s"] = [_as_json(v, active) for v in found]
@@ -221,7 +202,7 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
     if active:
         console.result("* calibrated" + ("" if named else " unless you name others with --parameter"))
     console.document(document)
-    return OK
+    return 0
 
 
 def _next_steps(made: MadeCase, paths: ProjectPaths) -> list[str]:
@@ -234,7 +215,7 @@ def _next_steps(made: MadeCase, paths: ProjectPaths) -> list[str]:
 
 
 def _columns(variables: tuple[FmuVariable, ...], most: int = 8) -> str:
-    names = ["time_s", *(v.name + (f" [{v.unit}]" if v.unit else "") for v in variables[:most])]
+    names = ["time_s", *(axis_label(v.name, v.unit) for v in variables[:most])]
     return "columns " + ", ".join(names) + (", ..." if len(variables) > most else "")
 
 

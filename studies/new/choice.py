@@ -178,19 +178,15 @@ def bounds_for(variable: FmuVariable) -> Bounds:
 
 def choose_times(fmu: FmuDescription) -> Times:
     """Take the default experiment for a first time axis."""
-    experiment, span = fmu.default_experiment, DAY_S
-    is_given = experiment.stop_s is not None and experiment.stop_s > (experiment.start_s or 0.0)
-    if experiment.stop_s is not None and is_given:
-        span = experiment.stop_s - (experiment.start_s or 0.0)
-    step = experiment.step_s
+    experiment = fmu.default_experiment
+    start_s, stop_s, step = experiment.start_s or 0.0, experiment.stop_s, experiment.step_s
+    span, why = DAY_S, "one day: the FMU names no default experiment"
+    if stop_s is not None and stop_s > start_s:
+        span, why = stop_s - start_s, "the FMU's default experiment"
     if step is None or not 0.0 < step <= span:
         step = _round_step(span / N_STEPS)
     n_steps = max(1, math.floor(span / step * (1.0 + 1e-9)))
-    return Times(
-        stop_s=n_steps * step,
-        step_s=step,
-        why="the FMU's default experiment" if is_given else "one day: the FMU names no default experiment",
-    )
+    return Times(n_steps * step, step, why)
 
 
 def _is_number(variable: FmuVariable) -> bool:
