@@ -79,14 +79,14 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     )
 
 
-def corner_points(case: Case, n: int) -> FloatArray:
-    """Return at most n corners of the box, all lower and all upper bounds first. Shape (m, p)."""
+def corner_points(case: Case) -> FloatArray:
+    """Return corners of the box, all lower and all upper bounds first. Shape (m, p). [per parameter]."""
     space = case.parameter_space
     sides = np.random.default_rng(DOCTOR_SEED).integers(0, 2, (4 * N_CORNERS, space.n_parameters))
     sides[0], sides[1] = 0, 1
     # Few parameters have few corners.
     _, first = np.unique(sides, axis=0, return_index=True)
-    return space.from_unit(sides[np.sort(first)][:n].astype(np.float64))
+    return space.from_unit(sides[np.sort(first)][:N_CORNERS].astype(np.float64))
 
 
 def look_at_corners(answer: Trajectories) -> Finding:
@@ -98,9 +98,9 @@ def look_at_corners(answer: Trajectories) -> Finding:
     return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures)[0])
 
 
-def coverage_points(case: Case, n: int) -> FloatArray:
-    """Return points all over the box. Shape (n, p)."""
-    return uniform_design(case.parameter_space, N_COVERAGE, DOCTOR_SEED)[:n]
+def coverage_points(case: Case) -> FloatArray:
+    """Return points all over the box. Shape (m, p). [per parameter]."""
+    return uniform_design(case.parameter_space, N_COVERAGE, DOCTOR_SEED)
 
 
 def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
