@@ -20,7 +20,6 @@ from studies.new.choice import (
     choose_parameters,
     choose_times,
     inputs_of,
-    other_parameters,
     parameter_candidates,
 )
 from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
@@ -34,14 +33,12 @@ class MadeCase:
 
     Attributes:
         case: Its content.
-        file: The case file.
         files: All files, the case file first.
         kept: Files that were there already, which are left as they are.
         to_edit: Lines of the case file that are marked EDIT, with their numbers.
     """
 
     case: NewCase
-    file: Path
     files: tuple[Path, ...]
     kept: tuple[Path, ...]
     to_edit: tuple[tuple[int, str], ...]
@@ -72,10 +69,8 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         data=f"../../data/{name}" if is_named else ".",
         interface="co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange",
         inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
-        held_inputs=inputs_of(fmu, held=True),
         outputs=choose_outputs(fmu, options.output),
         parameters=chosen,
-        fixable=other_parameters(fmu),
         times=choose_times(fmu),
     )
     case_file, copied = folder / "case.toml", folder / fmu_file.name
@@ -93,7 +88,7 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
             "--to FOLDER"
         ) from None
     files = (*reversed(texts), *[copied] * is_copied)
-    return MadeCase(case, case_file, files, tuple(kept), tuple(lines_to_edit(texts[case_file])))
+    return MadeCase(case, files, tuple(kept), tuple(lines_to_edit(texts[case_file])))
 
 
 def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
@@ -155,7 +150,7 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
     """Write a case and say what comes next."""
     made = make_case(options, paths)
     mark_project(paths.root, console)
-    case, name = made.case, paths.show(made.file)
+    case, name = made.case, paths.show(made.files[0])
     for file in made.files:
         console.result(f"wrote {paths.show(file)}")
     for file in made.kept:
@@ -206,10 +201,11 @@ def list_variables(options: argparse.Namespace, console: Console) -> int:
 
 
 def _next_steps(made: MadeCase, paths: ProjectPaths) -> list[str]:
-    case, data = made.case, paths.show((made.file.parent / made.case.data).resolve())
+    case, file = made.case, made.files[0]
+    data = paths.show((file.parent / case.data).resolve())
     lines = ", ".join(str(number) for number, _ in made.to_edit)
-    steps = [f"save {data}/{file}: {_columns(variables)}" for file, variables, _ in case.tables]
-    steps.append(f"look at the lines marked EDIT of {paths.show(made.file)}: {lines}")
+    steps = [f"save {data}/{table}: {_columns(variables)}" for table, variables, _ in case.tables]
+    steps.append(f"look at the lines marked EDIT of {paths.show(file)}: {lines}")
     steps += [f"studies {word} {case.place}" for word in ("check", "calibrate")]
     return ["next:", *(f"  {number}. {step}" for number, step in enumerate(steps, start=1))]
 

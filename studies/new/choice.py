@@ -203,7 +203,7 @@ def _matching(
     patterns: Sequence[str],
     what: Literal["parameter", "output"],
     *,
-    beside: Sequence[FmuVariable] = (),
+    beside: Sequence[FmuVariable],
 ) -> Choice:
     """Choose the candidates that patterns match; a pattern that matches none may match others beside."""
     used: dict[str, FmuVariable] = {}

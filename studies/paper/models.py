@@ -1,6 +1,6 @@
 """The surrogates of Fig. 7 and Table 4: the best of each size in Fig. 6, trained once more on other data."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from simulation.errors import InputError
 from studies.paper.fig6 import SizeTrials
@@ -14,11 +14,25 @@ from studies.stages.simulate_stage import simulate_stage
 Settings = dict[str, Value]
 
 
-def chosen_settings(plan: Plan) -> tuple[dict[int, Settings], tuple[float, float]]:
-    """Choose the best trials of Fig. 6 by validation error.
+@dataclass(frozen=True)
+class Chosen:
+    """What Fig. 6 chose for a training-set size: the best trial by validation error.
 
-    Returns:
-        Their hyperparameters by training-set size; first and last day on which they were tuned [d].
+    Args:
+        n_train: training-set size.
+        surrogate: form of the surrogate.
+        settings: its hyperparameters, tuned for Fig. 6.
+        tuned_on_d: first and last day of that. [d]
+    """
+
+    n_train: int
+    surrogate: str
+    settings: Settings
+    tuned_on_d: tuple[float, float]
+
+
+def chosen_settings(plan: Plan) -> dict[int, Chosen]:
+    """Return what Fig. 6 chose for each of the plan's sizes.
 
     Raises:
         InputError: there are no trials of a size, or they are those of another form of the surrogate.
@@ -34,7 +48,8 @@ def chosen_settings(plan: Plan) -> tuple[dict[int, Settings], tuple[float, float
                 f"{folder} holds trials of surrogate {tunings[n].surrogate!r}, the profile asks for "
                 f"{wanted!r}; name a profile with --profile"
             )
-    return {n: dict(tunings[n].best.params) for n in plan.budget.n_train}, origin.window_d
+    days = origin.window_d
+    return {n: Chosen(n, wanted, dict(tunings[n].best.params), days) for n in plan.budget.n_train}
 
 
 def train_again(study: Study, n_train: int, settings: Settings) -> tuple[Study, float]:

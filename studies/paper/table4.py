@@ -11,7 +11,7 @@ from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
 from studies.paper.items import Origin, Shown, origin_of, write_size
-from studies.paper.models import Settings, chosen_settings, train_again
+from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
 from studies.physical_model import open_physical_model
@@ -87,24 +87,16 @@ class SeedCalibration:
 
 
 @dataclass(frozen=True)
-class SizeCalibrations:
+class SizeCalibrations(Chosen):
     """All calibrations of one training-set size.
 
     Args:
-        n_train: training-set size.
-        surrogate: form of the surrogate.
-        settings: its hyperparameters, tuned for Fig. 6.
-        tuned_on_d: first and last day of that. [d]
         screening: settings of the screening.
         max_calls: most calls of a polish.
         references: known MSEs: label, MSE, whether it is a target.
         calibrations: one per seed; the first has the seed of Fig. 6.
     """
 
-    n_train: int
-    surrogate: str
-    settings: Settings
-    tuned_on_d: tuple[float, float]
     screening: dict[str, float]
     max_calls: int
     references: tuple[tuple[str, float, bool], ...]
@@ -116,18 +108,15 @@ SIZE = SizeCalibrations
 
 def run(plan: Plan) -> Shown:
     """Train the best of every size again, screen and polish; do it with more seeds for the small sizes."""
-    (settings, window_d), origin = chosen_settings(plan), origin_of(plan, plan.study, "table4")
+    chosen, origin = chosen_settings(plan), origin_of(plan, plan.study, "table4")
     sizes = dict[int, SizeCalibrations]()
     # All sizes with the first seed come first, each written at once: an interruption leaves what there is.
     for study in plan.seed_studies():
         for n in study.profile.data.n_train:
-            found = calibrated(study, n, settings[n])
+            found = calibrated(study, n, chosen[n].settings)
             before = sizes[n].calibrations if n in sizes else ()
             sizes[n] = SizeCalibrations(
-                n_train=n,
-                surrogate=study.profile.tuning.surrogate,
-                settings=settings[n],
-                tuned_on_d=window_d,
+                **vars(chosen[n]),
                 screening=asdict(study.profile.screening),
                 max_calls=study.profile.polish.max_calls,
                 references=tuple(
