@@ -138,16 +138,16 @@ def influence(case: Case, nominal: Trajectories, answer: Trajectories) -> FloatA
     return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(-1, 2), axis=1))
 
 
-def look_at_influence(case: Case, share: FloatArray, other_share: FloatArray | None) -> Finding:
+def look_at_influence(case: Case, share: FloatArray, most: FloatArray) -> Finding:
     """Say whether every parameter moves an output.
 
     Args:
         case: the case.
         share: how far the first parameters move an output from the estimates, NaN where that is not known.
             Shape (p,). [uncertainties]
-        other_share: the same from another point, where it was asked. Shape (p,). [uncertainties]
+        most: the largest of this and the same from another point, where it was asked. Shape (p,).
+            [uncertainties]
     """
-    most = share if other_share is None else np.fmax(share, other_share)
 
     def which(is_so: np.ndarray) -> str:
         return ", ".join(case.parameter_space.names[i] for i in np.flatnonzero(is_so))

@@ -133,13 +133,14 @@ class _Examination:
         """Move every parameter; where one does nothing, once more from another point."""
         case = self._case
         answer = model.simulate(answers.moved_points(case, self._base)[:n])
-        share, other_share = answers.influence(case, nominal, answer), None
+        most = share = answers.influence(case, nominal, answer)
         if not (share > answers.SAME).all():
             other = answers.coverage_points(case)[0]
             moved = model.simulate(np.vstack([other, answers.moved_points(case, other)[:n]]))
             if not moved.failed[0]:
-                other_share = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
-        yield answers.look_at_influence(case, share, other_share)
+                there = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
+                most = np.fmax(share, there)
+        yield answers.look_at_influence(case, share, most)
         n_rows = answers.N_HALVINGS * int(answer.failed.sum())
         is_traced = n_rows > 0 and self.budget.rows("from where on bounds fail", n_rows, n_rows) > 0
         yield from answers.look_at_bounds(case, self._base, answer, model if is_traced else None)

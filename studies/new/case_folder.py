@@ -1,7 +1,6 @@
 """`studies new`: from an FMU's own description to a case file, a data folder and example CSV files."""
 
 import argparse
-import filecmp
 import re
 import shlex
 from collections.abc import Mapping
@@ -100,16 +99,15 @@ def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: Proje
     Returns:
         Whether the FMU was copied.
     """
-    case_file = list(texts)[-1]
-    is_another = copied.exists() and not (copied.is_file() and filecmp.cmp(copied, fmu_file, shallow=False))
-    for file in [case_file] if case_file.exists() else [copied] if is_another else []:
+    case_file, content = list(texts)[-1], fmu_file.read_bytes()
+    for file in [case_file] if case_file.exists() else [copied] if _holds_other(copied, content) else []:
         raise InputError(
             f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
         )
     is_copied = not copied.exists()
     for file in [copied] * is_copied + list(texts):
         with whole_file(file) as stream:
-            stream.write(fmu_file.read_bytes() if file == copied else texts[file].encode())
+            stream.write(content if file == copied else texts[file].encode())
     return is_copied
 
 

@@ -121,14 +121,13 @@ def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
         patterns: Names or globs.
     """
     outputs = [v for v in _of(fmu, "output") if _is_number(v)]
-    candidates = [v for v in outputs if not is_internal(v)] or outputs
     # Local variables can be read as well, where one is asked for or there is nothing else.
     local = [v for v in _of(fmu, "local") if _is_number(v) and not is_internal(v) and v.name[:4] != "der("]
-    if not candidates and not local:
+    candidates = [v for v in outputs if not is_internal(v)] or outputs or local
+    if not candidates:
         raise InputError(f"{fmu.path}: has no real output; export it with the measured variables as outputs")
     if patterns:
         return _matching(fmu, outputs or local, patterns, "output", beside=local)
-    candidates = candidates or local
     return _split(candidates, candidates[:1])
 
 
