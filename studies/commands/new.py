@@ -53,7 +53,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     paths = find_project(chosen.storage)
     if chosen.list:
-        return list_variables(chosen, console)
-    code = new_case(chosen, paths, console)
-    console.say(options.NATIVE_CODE)
-    return code
+        list_variables(chosen, console)
+    else:
+        new_case(chosen, paths, console)
+        console.say(options.NATIVE_CODE)
+    return 0

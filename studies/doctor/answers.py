@@ -177,7 +177,6 @@ def look_at_bounds(
     failed, space = np.flatnonzero(answer.failed), case.parameter_space
     if not len(failed):
         return
-    ends = space.ends(base)
     good, bad = np.tile(space.to_unit(base), (len(failed), 1)), space.to_unit(answer.theta[failed])
     for _ in range(N_HALVINGS):
         if model is not None:
@@ -186,9 +185,8 @@ def look_at_bounds(
             good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
     regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
-        one, is_upper = space.parameters[row // 2], bool(row % 2)
-        bound = ends[is_upper][row // 2]
-        where, side = ("above", "upper") if is_upper else ("below", "lower")
+        one, bound = space.parameters[row // 2], answer.theta[row, row // 2]
+        where, side = ("above", "upper") if row % 2 else ("below", "lower")
         begin = "" if model is None else f"{where} {edge[row // 2]:.3g}, "
         regions.append(
             f"{one.name} fails {begin}at its {side} bound {bound:.4g} {shown_unit(one.unit)}".rstrip()

@@ -93,15 +93,12 @@ class _Examination:
                 after = alone.simulate(np.stack([answers.coverage_points(case)[0], base]))
                 again = [answer, after.take([1])]
                 if budget.rows("the same answer in any order", 1, at_once=False):
-                    yield [self._in_order(after.take([0]))]
+                    later = after.take([0])
+                    with PoolModel(case.make_model, 1, policy=policy) as other:
+                        yield [answers.look_at_order(later, other.simulate(later.theta))]
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
         yield list(self._costs())
-
-    def _in_order(self, later: Trajectories) -> Finding:
-        """Ask a row as the first of a process that was answered after others in another."""
-        with PoolModel(self._case.make_model, 1, policy=self._policy(FIRST_S)) as alone:
-            return answers.look_at_order(later, alone.simulate(later.theta))
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""

@@ -144,7 +144,7 @@ def _folder(fmu_file: Path, paths: ProjectPaths, wanted: Path | None) -> Path:
 _NUMBERS = [Column(word, True) for word in ("start", "min", "max")]
 
 
-def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
+def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> None:
     """Write a case and say what comes next."""
     made = make_case(options, paths)
     mark_project(paths.root, console)
@@ -172,10 +172,9 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
             "next": [f"studies check {case.place}", f"studies calibrate {case.place}"],
         }
     )
-    return 0
 
 
-def list_variables(options: argparse.Namespace, console: Console) -> int:
+def list_variables(options: argparse.Namespace, console: Console) -> None:
     """Show what an FMU can be given and asked."""
     fmu, named = describe(options.fmu.expanduser()), options.parameter
     is_any = named or parameter_candidates(fmu)
@@ -195,7 +194,6 @@ def list_variables(options: argparse.Namespace, console: Console) -> int:
     if active:
         console.result("* calibrated" + ("" if named else " unless you name others with --parameter"))
     console.document(document)
-    return 0
 
 
 def _next_steps(made: MadeCase, paths: ProjectPaths) -> list[str]:
