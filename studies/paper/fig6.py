@@ -10,7 +10,7 @@ import numpy as np
 from studies.paper.items import Cell, Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.report.figures_model import ErrorLine, TrialsRecord, mae_over_n_figure
+from studies.report.figures_model import TrialsRecord, mae_over_n_figure
 from studies.row_set import RowSet
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage
@@ -159,7 +159,7 @@ def shown(origin: Origin, sizes: Sequence[SizeTrials]) -> Shown:
         tuple(rows[0]),
         tuple(tuple(row.values()) for row in rows),
         "mae-over-n.png",
-        mae_over_n_figure(_record(sizes), unit=origin.unit, published=published, beside=_lines(sizes)),
+        mae_over_n_figure(_record(sizes), unit=origin.unit, published=published, beside=_beside(sizes)),
         f"{origin.label}, {window}",
         {"importances": importances_by_size(sizes)},
     )
@@ -219,17 +219,17 @@ def _record(sizes: Sequence[SizeTrials]) -> TrialsRecord:
     )  # fmt: skip
 
 
-def _lines(sizes: Sequence[SizeTrials]) -> list[ErrorLine]:
-    lines = []
+def _beside(sizes: Sequence[SizeTrials]) -> dict[str, dict[int, tuple[float, float]]]:
+    """Return test MAE and 90th percentile of the other surrogates by name and size. [output's unit]."""
+    found = {}
     for name, tunings in (
         ("PCA + GP", {size.n_train: size.pca_gp for size in sizes}),
         ("faithful form, its best", {size.n_train: size.faithful for size in sizes}),
     ):
         best = {n: tuning.best for n, tuning in tunings.items() if tuning is not None}
-        errors = np.array([(one.test_mae, one.test_p90) for one in best.values()], dtype=np.float64)
         if best:
-            lines.append(ErrorLine(name, np.array([*best]), *errors.T))
-    return lines
+            found[name] = {n: (_known(one.test_mae), _known(one.test_p90)) for n, one in best.items()}
+    return found
 
 
 def _known(error: float | None) -> float:

@@ -141,28 +141,11 @@ class TrialsRecord:
         return cls(np.array(sizes), states, validation, mae, p90, np.array(best))
 
 
-@dataclass(frozen=True)
-class ErrorLine:
-    """Test errors of another surrogate by training-set size, drawn as a line.
-
-    Attributes:
-        name: Which surrogate.
-        n_train: Training-set sizes, rising. Shape (s,).
-        mae: Shape (s,). [output unit, differences]
-        p90: 90th percentile of the absolute errors. Shape (s,). [output unit, differences]
-    """
-
-    name: str
-    n_train: IntArray
-    mae: FloatArray
-    p90: FloatArray
-
-
 def mae_over_n_figure(
     trials: TrialsRecord,
     *,
     unit: str,
-    beside: Sequence[ErrorLine] = (),
+    beside: Mapping[str, Mapping[int, tuple[float, float]]] = MappingProxyType({}),
     published: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
 ) -> Figure:
     """Show every trial's test error over the training-set size, mean beside 90th percentile (Fig. 6).
@@ -170,7 +153,8 @@ def mae_over_n_figure(
     Args:
         trials: All trials; pruned ones are shown at their last validation error, failed ones counted.
         unit: Unit of the errors, e.g. "K".
-        beside: At most two other surrogates, drawn as lines.
+        beside: At most two other surrogates, drawn as lines: by name and rising training-set size the MAE
+            and the 90th percentile. [unit]
         published: MAE that the paper names, by training-set size: one value, or least and largest. [unit]
     """
     x, panels = Axis("training simulations", LOG2, ticks=tuple(np.unique(trials.n_train).tolist())), []
@@ -180,8 +164,8 @@ def mae_over_n_figure(
     ):
         series = _trials(trials, values, is_mae=is_mae)
         for line, color, dashes in zip(beside, (SERIES[2], SERIES[4]), ([1, 0], [4, 2]), strict=False):
-            errors = line.mae if is_mae else line.p90
-            series.append(Series(line.name, color, line.n_train, errors, style={"strokeDash": dashes}))
+            errors = [mae if is_mae else p90 for mae, p90 in beside[line].values()]
+            series.append(Series(line, color, [*beside[line]], errors, style={"strokeDash": dashes}))
         if is_mae and published:
             sizes = [n for n, errors_there in published.items() for _ in errors_there]
             found = [error for errors_there in published.values() for error in errors_there]
