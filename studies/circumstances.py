@@ -1,9 +1,7 @@
 """A row in different circumstances: with other inputs, with another step, as the first of a process."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
-
-import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.fmu import FmuSettings
@@ -51,18 +49,9 @@ class CircumstanceModel:
         Returns:
             The trajectories.
         """
-        answers = [self._asked(round(number)) for number in theta[:, 0]]
-        return Trajectories.checked(
-            theta,
-            np.concatenate([y for y, _ in answers]),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-            failures=[failure for _, failure in answers],
-        )
-
-    def _asked(self, number: int) -> tuple[FloatArray, str]:
-        """Return the outputs of the row and why it failed. Shape (1, t, k). [per output]."""
-        with self.settings[number].open() as model:
-            answer = model.simulate(self.row[None])
-        return answer.y, answer.failures[0]
+        answers = []
+        for number in theta[:, 0]:
+            with self.settings[round(number)].open() as model:
+                answers.append(model.simulate(self.row[None]))
+        names = self.parameter_space.names
+        return replace(Trajectories.concatenate(answers), theta=theta, parameter_names=names)

@@ -56,13 +56,9 @@ COMMANDS = (
 )
 
 
-class _UsageError(InputError):
-    """The command line cannot be understood."""
-
-
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise _UsageError(f"{' '.join(message.split())} (`{self.prog} --help` explains)")
+        raise InputError(f"{' '.join(message.split())} (`{self.prog} --help` explains)")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -74,13 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = Console(as_json="--json" in arguments)
     try:
         chosen = _understand(arguments)
-    except _UsageError as error:
-        return _ended(console, str(error), BAD_INPUT)
-    except SystemExit as done:
-        return int(done.code or 0)
-    console = Console(as_json=chosen.json, quiet=chosen.quiet)
-    chosen.typed = shlex.join(["studies", *(word for word in arguments if word not in OF_THE_MOMENT)])
-    try:
+        console = Console(as_json=chosen.json, quiet=chosen.quiet)
+        chosen.typed = shlex.join(["studies", *(word for word in arguments if word not in OF_THE_MOMENT)])
         check_surroundings()
         if argv is None:
             from studies.command_folder import give_temporary_folder
@@ -88,6 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             give_temporary_folder()
         answer: int = command_module(chosen.command).run(chosen, console)
         return answer
+    except SystemExit as done:  # help, version
+        return int(done.code or 0)
     except (Exception, KeyboardInterrupt) as error:
         if is_interrupt(error):
             return _interrupted(console, shlex.join(["studies", *arguments]))
@@ -118,31 +111,39 @@ def _nowhere() -> TextIO:
 
 
 def _report(console: Console, error: BaseException) -> int:
-    """Report the error that ended a command, and return its exit code."""
+    """Report the error that ended a command in one line; an unforeseen one also prints its traceback.
+
+    Returns:
+        The exit code.
+    """
     if isinstance(error, InputError) and not isinstance(error, MachineError):
         return _ended(console, " ".join(str(error).split()), BAD_INPUT)
     if isinstance(error, BrokenPipeError):
         # The reader of the output closed it: nothing has failed, and nothing can be reported.
         sys.stdout = None
         return UNHEARD
-    return _failed(console, error)
+    from studies.stages.pipeline import StageError
+
+    explained = explain(error)
+    if explained is None and not isinstance(error, StageError | MachineError):
+        sys.stderr.write(escaped("".join(traceback.format_exception(error)), keep_lines=True))
+    return _ended(console, explained or " ".join(f"{error}".split()) or type(error).__name__, FAILED)
 
 
 def _understand(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the command line; an error names the help that explains it.
 
     Raises:
-        _UsageError: there is no such command or option, or a value is wrong.
+        InputError: there is no such command or option, or a value is wrong.
     """
-    first = next((word for word in arguments if not word.startswith("-")), "")
-    if first and first not in COMMANDS and arguments[0] == first:
-        close = get_close_matches(first, COMMANDS, n=1)
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+        close = get_close_matches(arguments[0], COMMANDS, n=1)
         hint = f"did you mean `studies {close[0]}`?" if close else "`studies --help` lists them"
-        raise _UsageError(f"there is no command {first!r}; {hint}")
+        raise InputError(f"there is no command {arguments[0]!r}; {hint}")
     chosen, unknown = build_parser().parse_known_args(arguments)
     if unknown:
         words = " ".join(unknown)
-        raise _UsageError(f"unrecognized arguments: {words} (`studies {chosen.command} --help` explains)")
+        raise InputError(f"unrecognized arguments: {words} (`studies {chosen.command} --help` explains)")
     return chosen
 
 
@@ -219,16 +220,6 @@ def _interrupted(console: Console, again: str) -> int:
     console.warn(f"interrupted; finished work is kept, go on with: {again}")
     console.document({"error": "interrupted", "go_on_with": again})
     return INTERRUPTED
-
-
-def _failed(console: Console, error: BaseException) -> int:
-    """Report a failed stage in one line; an unforeseen error also prints its traceback."""
-    from studies.stages.pipeline import StageError
-
-    explained = explain(error)
-    if explained is None and not isinstance(error, StageError | MachineError):
-        sys.stderr.write(escaped("".join(traceback.format_exception(error)), keep_lines=True))
-    return _ended(console, explained or " ".join(f"{error}".split()) or type(error).__name__, FAILED)
 
 
 _REMEDIES = {

@@ -28,9 +28,7 @@ from studies.console import Console
 from studies.paths import find_project
 
 OPTIONS = (
-    options.Option(
-        "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
-    ),
+    options.WHICH,
     options.Option("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size"),
     options.experiment("with --write: the experiment whose values are written"),
     options.Option(

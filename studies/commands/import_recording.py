@@ -13,6 +13,7 @@ Examples:
 """
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from studies.commands.options import Option
@@ -44,13 +45,5 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         list(zip(files, report.n_rows, strict=True)),
     )
     console.result(f"{report.duration_d:.2f} days; calibrate against them: studies calibrate office-recorded")
-    console.document(
-        {
-            "command": "import-recording",
-            "source": report.source,
-            "files": files,
-            "n_rows": report.n_rows,
-            "duration_d": report.duration_d,
-        }
-    )
+    console.document({"command": "import-recording", **asdict(report), "files": files})
     return OK

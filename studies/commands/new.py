@@ -16,6 +16,7 @@ Examples:
 """
 
 import argparse
+from pathlib import Path
 
 from studies.commands import options
 from studies.commands.options import Option
@@ -23,12 +24,13 @@ from studies.console import Console
 from studies.paths import find_project
 
 OPTIONS = (
-    Option("fmu", metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0"),
-    Option("--to", metavar="FOLDER", help="the case's folder; default: fmus/<name of the FMU>"),
+    Option("fmu", type=Path, metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0"),
+    Option("--to", type=Path, metavar="FOLDER", help="the case's folder; default: fmus/<name of the FMU>"),
     Option(
         "--output",
         nargs="+",
         action="extend",
+        default=[],
         metavar="NAME",
         help="measured outputs; default: the first output",
     ),
@@ -36,6 +38,7 @@ OPTIONS = (
         "--parameter",
         nargs="+",
         action="extend",
+        default=[],
         metavar="NAME",
         help="parameters to calibrate: names or patterns like 'wall.*', also of inputs that are constant; "
         "default: those of the top level",
@@ -50,7 +53,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     paths = find_project(chosen.storage)
     if chosen.list:
-        return list_variables(chosen, paths, console)
-    code = new_case(chosen, paths, console)
-    console.say(options.NATIVE_CODE)
-    return code
+        list_variables(chosen, console)
+    else:
+        new_case(chosen, paths, console)
+        console.say(options.NATIVE_CODE)
+    return 0

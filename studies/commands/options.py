@@ -50,8 +50,7 @@ class Window:
 
 def _all_digits(value: float) -> str:
     """Write a number without an exponent, which the reader of windows refuses."""
-    text = f"{Decimal(repr(value)):f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{Decimal(repr(value)).normalize():f}"
 
 
 def window(text: str) -> Window:
@@ -100,6 +99,9 @@ def address(text: str) -> str:
 NATIVE_CODE = "an FMU is native code that runs with your rights; SECURITY.md says how to run one apart"
 
 JOBS = Option("--jobs", type=whole(1), metavar="N", help="processes; default: the number of cores")
+WHICH = Option(
+    "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
+)
 NAME = (
     Option(
         "case",

@@ -27,7 +27,7 @@ Examples:
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
 from studies.commands import options
@@ -44,14 +44,13 @@ if TYPE_CHECKING:
     from studies.stages.pipeline import Study
 
 PROFILE = "thorough"
-BUDGET = "small"
-
+WORDS = (*ITEMS, *ALIASES)
 
 OPTIONS = (
     *options.NAME,
     *options.TRIALS,
-    Option("--only", nargs="+", metavar="ITEM", help=f"only these items: {', '.join((*ITEMS, *ALIASES))}"),
-    Option("--budget", metavar="NAME", help="small (default) or full"),
+    Option("--only", nargs="+", choices=WORDS, metavar="ITEM", help=f"only these items: {', '.join(WORDS)}"),
+    Option("--budget", choices=("small", "full"), metavar="NAME", help="small (default) or full"),
     Option("--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"),
     Option(
         "--seeds", type=options.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
@@ -75,13 +74,14 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.paper.items import chosen_items, make
+    from studies.paper.items import make
 
-    items = chosen_items(chosen.only)
+    wanted = {ALIASES.get(word, word) for word in chosen.only or ITEMS}
     if chosen.source is not None:
-        return _drawn(chosen, items, console)
-    if chosen.hyperparameters is None and set(items) & set(NEEDS_FIG6):
-        items = tuple(item for item in ITEMS if item in items or item == "fig6")
+        return _drawn(chosen, wanted, console)
+    if chosen.hyperparameters is None and wanted & set(NEEDS_FIG6):
+        wanted.add("fig6")
+    items = [item for item in ITEMS if item in wanted]
     plan = _plan(chosen, console)
     study, budget = plan.study, plan.budget
     console.table(
@@ -93,7 +93,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     console.result(f"Trials by training-set size: {trials}")
     document = {"command": "reproduce-paper", "label": study.label, "budget": asdict(budget)}
     if chosen.dry_run:
-        console.document({**document, "items": list(items), "dry_run": True})
+        console.document({**document, "items": items, "dry_run": True})
         return OK
     made = {}
     for item in items:
@@ -115,7 +115,7 @@ def _show(shown: "Shown", files: list[str], console: Console) -> None:
         console.result(file)
 
 
-def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console) -> int:
+def _drawn(chosen: argparse.Namespace, items: set[str], console: Console) -> int:
     """Draw an item from the files of an earlier run and return the exit code.
 
     Raises:
@@ -123,7 +123,7 @@ def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], console: Console)
     """
     from studies.paper.items import module_of, read_sizes
 
-    if len(items) != 1 or items[0] not in DRAWN:
+    if len(items) != 1 or not items <= set(DRAWN):
         raise InputError(f"--from draws one item alone; add --only with one of {listed(DRAWN)}")
     beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))
     if others := [flag for flag, is_given in beside if is_given]:
@@ -148,28 +148,16 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     from studies.profile import load_profile
 
     asked = chosen.profile or PROFILE
-    own_profile = asked != PROFILE
     budget = budget_for(
-        chosen.budget or BUDGET,
+        chosen.budget or "small",
         load_profile(asked),
-        own_profile=own_profile,
+        own_profile=asked != PROFILE,
         trials=chosen.trials,
         n_seeds=chosen.seeds,
     )
 
-    def opener(
-        *,
-        n_train: tuple[int, ...],
-        window: tuple[float, float] | None = None,
-        seed: int | None = chosen.seed,
-        profile: str | None = None,
-    ) -> "Study":
-        words = {
-            "profile": profile or asked,
-            "window": None if window is None else options.Window(*window),
-            "seed": seed,
-            "n_train": list(n_train),
-        }
+    def opener(*, window: tuple[float, float] | None = None, **changes: Any) -> "Study":
+        words = {"profile": asked, "window": None if window is None else options.Window(*window), **changes}
         return open_study(argparse.Namespace(**vars(chosen) | words), console)
 
     words = [str(chosen.case)]

@@ -13,15 +13,10 @@ Examples:
 """
 
 import argparse
-from typing import TYPE_CHECKING, Any
 
 from studies.commands import options
 from studies.commands.study import FAILED, OK, hand_over, open_study
 from studies.console import Console
-
-if TYPE_CHECKING:
-    from studies.stages.pipeline import Outcome
-
 
 OPTIONS = (
     *options.SIMULATED,
@@ -65,5 +60,4 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     show_tuning(study, tuned.result)
     show_calibrations(study, calibrated)
     show_report(study, reported.result)
-    outcomes: list[Outcome[Any]] = [checked, simulated, sensitivity, tuned, *calibrated, reported]
-    return hand_over(study, "run", outcomes)
+    return hand_over(study, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])

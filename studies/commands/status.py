@@ -14,21 +14,18 @@ Examples:
 
 import argparse
 
-from studies.commands.options import Option
+from studies.commands import options
 from studies.console import Console
 from studies.paths import find_project
 
-OPTIONS = (
-    Option("which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"),
-)
+OPTIONS = (options.WHICH,)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.project import read_project, status_blocks, status_document
 
-    paths = find_project(chosen.storage)
-    project = read_project(paths, chosen.which)
+    project = read_project(find_project(chosen.storage), chosen.which)
     console.show(status_blocks(project))
     console.document(status_document(project))
     return 0

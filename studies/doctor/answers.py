@@ -79,14 +79,14 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     )
 
 
-def corner_points(case: Case, n: int) -> FloatArray:
-    """Return at most n corners of the box, all lower and all upper bounds first. Shape (m, p)."""
+def corner_points(case: Case) -> FloatArray:
+    """Return corners of the box, all lower and all upper bounds first. Shape (m, p). [per parameter]."""
     space = case.parameter_space
     sides = np.random.default_rng(DOCTOR_SEED).integers(0, 2, (4 * N_CORNERS, space.n_parameters))
     sides[0], sides[1] = 0, 1
     # Few parameters have few corners.
     _, first = np.unique(sides, axis=0, return_index=True)
-    return space.from_unit(sides[np.sort(first)][:n].astype(np.float64))
+    return space.from_unit(sides[np.sort(first)][:N_CORNERS].astype(np.float64))
 
 
 def look_at_corners(answer: Trajectories) -> Finding:
@@ -98,9 +98,9 @@ def look_at_corners(answer: Trajectories) -> Finding:
     return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures)[0])
 
 
-def coverage_points(case: Case, n: int) -> FloatArray:
-    """Return points all over the box. Shape (n, p)."""
-    return uniform_design(case.parameter_space, N_COVERAGE, DOCTOR_SEED)[:n]
+def coverage_points(case: Case) -> FloatArray:
+    """Return points all over the box. Shape (m, p). [per parameter]."""
+    return uniform_design(case.parameter_space, N_COVERAGE, DOCTOR_SEED)
 
 
 def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
@@ -138,16 +138,16 @@ def influence(case: Case, nominal: Trajectories, answer: Trajectories) -> FloatA
     return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(-1, 2), axis=1))
 
 
-def look_at_influence(case: Case, share: FloatArray, other_share: FloatArray | None) -> Finding:
+def look_at_influence(case: Case, share: FloatArray, most: FloatArray) -> Finding:
     """Say whether every parameter moves an output.
 
     Args:
         case: the case.
         share: how far the first parameters move an output from the estimates, NaN where that is not known.
             Shape (p,). [uncertainties]
-        other_share: the same from another point, where it was asked. Shape (p,). [uncertainties]
+        most: the largest of this and the same from another point, where it was asked. Shape (p,).
+            [uncertainties]
     """
-    most = share if other_share is None else np.fmax(share, other_share)
 
     def which(is_so: np.ndarray) -> str:
         return ", ".join(case.parameter_space.names[i] for i in np.flatnonzero(is_so))
@@ -177,7 +177,6 @@ def look_at_bounds(
     failed, space = np.flatnonzero(answer.failed), case.parameter_space
     if not len(failed):
         return
-    ends = space.ends(base)
     good, bad = np.tile(space.to_unit(base), (len(failed), 1)), space.to_unit(answer.theta[failed])
     for _ in range(N_HALVINGS):
         if model is not None:
@@ -186,9 +185,8 @@ def look_at_bounds(
             good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
     regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
-        one, is_upper = space.parameters[row // 2], bool(row % 2)
-        bound = ends[is_upper][row // 2]
-        where, side = ("above", "upper") if is_upper else ("below", "lower")
+        one, bound = space.parameters[row // 2], answer.theta[row, row // 2]
+        where, side = ("above", "upper") if row % 2 else ("below", "lower")
         begin = "" if model is None else f"{where} {edge[row // 2]:.3g}, "
         regions.append(
             f"{one.name} fails {begin}at its {side} bound {bound:.4g} {shown_unit(one.unit)}".rstrip()

@@ -65,15 +65,15 @@ class _Examination:
     """What is simulated and judged, and how long that may take."""
 
     def __init__(self, study: Study, *, is_thorough: bool) -> None:
-        self._study, self._case, self._space = study, study.case, study.case.parameter_space
-        self._base, policy = self._space.expected, study.case.policy
+        self._study, self._case, policy = study, study.case, study.case.policy
+        self._base = study.case.parameter_space.expected
         n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
         self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s)
 
     def simulated(self) -> Generator[list[Finding]]:
         """Simulate, and judge what comes; ends early where the estimates fail."""
         case, base, budget = self._case, self._base, self.budget
-        policy, warn = self._policy(budget.first_timeout_s), self._study.console.warn
+        policy, warn = self._policy(FIRST_S), self._study.console.warn
         with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
             try:
                 nominal, budget.opening_s = _timed(alone, base)
@@ -90,36 +90,30 @@ class _Examination:
                 # Without opening the FMU; and after a row that is not the estimates.
                 answer, budget.simulation_s = _timed(alone, base)
                 # Inside the box: at a corner a parameter may do nothing.
-                after = alone.simulate(np.stack([answers.coverage_points(case, 1)[0], base]))
+                after = alone.simulate(np.stack([answers.coverage_points(case)[0], base]))
                 again = [answer, after.take([1])]
                 if budget.rows("the same answer in any order", 1, at_once=False):
-                    yield [self._in_order(after.take([0]))]
+                    later = after.take([0])
+                    with PoolModel(case.make_model, 1, policy=policy) as other:
+                        yield [answers.look_at_order(later, other.simulate(later.theta))]
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
         yield list(self._costs())
 
-    def _in_order(self, later: Trajectories) -> Finding:
-        """Ask a row as the first of a process that was answered after others in another."""
-        policy = self._policy(self.budget.first_timeout_s)
-        with PoolModel(self._case.make_model, 1, policy=policy) as alone:
-            return answers.look_at_order(later, alone.simulate(later.theta))
-
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
         case, budget = self._case, self.budget
-        with open_physical_model(self._study, policy=self._policy(budget.row_timeout_s)) as stored:
+        with open_physical_model(self._study, policy=self._policy(budget.usual_s)) as stored:
             model = _StoringModel(stored)
             model.store_finished(nominal)
-            if n := budget.rows("influence of the parameters", 2 * self._space.n_parameters, 2):
+            if n := budget.rows("influence of the parameters", 2 * len(self._base), 2):
                 yield list(self._influence(model, nominal, n - n % 2))
-            what = "corners of the box"
-            if n := budget.rows(what, len(answers.corner_points(case, answers.N_CORNERS)), 2):
-                answer = self._in_pieces(model, answers.corner_points(case, n), what)
-                yield [answers.look_at_corners(answer)]
-            what = "coverage of the measurement"
-            if n := budget.rows(what, answers.N_COVERAGE, 8):
-                answer = self._in_pieces(model, answers.coverage_points(case, n), what)
-                yield [answers.look_at_coverage(case, answer)]
+            points, what = answers.corner_points(case), "corners of the box"
+            if n := budget.rows(what, len(points), 2):
+                yield [answers.look_at_corners(self._in_pieces(model, points[:n], what))]
+            points, what = answers.coverage_points(case), "coverage of the measurement"
+            if n := budget.rows(what, len(points), 8):
+                yield [answers.look_at_coverage(case, self._in_pieces(model, points[:n], what))]
 
     def _in_pieces(self, model: ForwardModel, theta: FloatArray, what: str) -> Trajectories:
         """Simulate until the time is over, at least one piece: rows that hang must not eat up hours."""
@@ -136,13 +130,14 @@ class _Examination:
         """Move every parameter; where one does nothing, once more from another point."""
         case = self._case
         answer = model.simulate(answers.moved_points(case, self._base)[:n])
-        share, other_share = answers.influence(case, nominal, answer), None
+        most = share = answers.influence(case, nominal, answer)
         if not (share > answers.SAME).all():
-            other = answers.coverage_points(case, 1)[0]
+            other = answers.coverage_points(case)[0]
             moved = model.simulate(np.vstack([other, answers.moved_points(case, other)[:n]]))
             if not moved.failed[0]:
-                other_share = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
-        yield answers.look_at_influence(case, share, other_share)
+                there = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
+                most = np.fmax(share, there)
+        yield answers.look_at_influence(case, share, most)
         n_rows = answers.N_HALVINGS * int(answer.failed.sum())
         is_traced = n_rows > 0 and self.budget.rows("from where on bounds fail", n_rows, n_rows) > 0
         yield from answers.look_at_bounds(case, self._base, answer, model if is_traced else None)
@@ -152,7 +147,7 @@ class _Examination:
         case, budget, names = self._case, self.budget, self._case.scenario.input_names
         halved = with_step(case, case.communication_step_s / 2.0)
         model = answers.circumstances(case, halved, self._base)
-        policy = self._policy(budget.with_opening(budget.row_timeout_s))
+        policy = self._policy(budget.usual_s, SLOWER * budget.opening_s)
         with PoolModel(model.open, min(budget.n_workers, 2 + len(names)), policy=policy) as other:
             n = budget.rows("another process, half the step, other inputs", 3 + len(names), 3)
             if not n:
@@ -176,8 +171,9 @@ class _Examination:
             yield finding("timeout", limit=f"{timeout_s:g} s", each=each)
         yield from named("left-out", self.budget.left_out, "; ", each=each, command=command)
 
-    def _policy(self, timeout_s: float | None) -> ExecutionPolicy:
-        """Return the case's policy with this time-out and without an end when many fail."""
+    def _policy(self, usual_s: float, more_s: float = 0.0) -> ExecutionPolicy:
+        """Return the case's policy with the time-out of the budget and without an end when many fail."""
+        timeout_s = self.budget.timeout(usual_s, more_s)
         return replace(self._case.policy, timeout_s=timeout_s, max_failed_share=1.0)
 
 
@@ -255,20 +251,19 @@ class TimeBudget:
         return not self.is_thorough and time.perf_counter() - self._started > EXAMINATION_S
 
     @property
-    def first_timeout_s(self) -> float | None:
-        """Time-out of the first simulation. [s]."""
-        return self.timeout_s if self.timeout_s is not None or self.is_thorough else FIRST_S
-
-    @property
-    def row_timeout_s(self) -> float | None:
-        """Time-out of the other simulations. [s]."""
-        if self.timeout_s is not None or self.is_thorough:
-            return self.timeout_s
+    def usual_s(self) -> float:
+        """Time-out of all simulations but the first, where the case names none. [s]."""
         return LEAST_S + SLOWER * self.simulation_s
 
-    def with_opening(self, timeout_s: float | None) -> float | None:
-        """Return the time-out of a simulation that opens the FMU itself. [s]."""
-        return None if timeout_s is None else timeout_s + SLOWER * self.opening_s
+    def timeout(self, usual_s: float, more_s: float) -> float | None:
+        """Return a time-out: the case's, else the usual one, which a thorough examination does without. [s].
+
+        Args:
+            usual_s: the usual one. [s]
+            more_s: time that is added to either. [s]
+        """
+        timeout_s = usual_s if self.timeout_s is None and not self.is_thorough else self.timeout_s
+        return None if timeout_s is None else timeout_s + more_s
 
     def rows(self, what: str, wanted: int, least: int = 1, *, at_once: bool = True) -> int:
         """Return how many simulations an examination may have, and remember what it has to do without.

@@ -132,11 +132,12 @@ Binding = tuple[Sequence[str], str]
 """Identifiers that lead to a variable, and its value."""
 
 
+COLUMNS = ("name", "value", "unit", "origin")
+
+
 def as_json(found: CalibratedValues) -> bytes:
     """Return a JSON document with name, value, unit and origin of each value, and what made them."""
-    values = [
-        {"name": one.name, "value": one.value, "unit": one.unit, "origin": one.origin} for one in found.values
-    ]
+    values = [{name: getattr(one, name) for name in COLUMNS} for one in found.values]
     return f"{json.dumps({**found.about, 'values': values}, indent=2)}\n".encode()
 
 
@@ -145,8 +146,8 @@ def as_csv(found: CalibratedValues) -> bytes:
     text = io.StringIO()
     text.write(f"# {found.sentence}\n")
     table = csv.writer(text, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
-    table.writerow(["name", "value", "unit", "origin"])
-    table.writerows([one.name, one.value, one.unit, one.origin] for one in found.values)
+    table.writerow(COLUMNS)
+    table.writerows([getattr(one, name) for name in COLUMNS] for one in found.values)
     return text.getvalue().encode()
 
 

@@ -25,20 +25,18 @@ from studies.provenance import FILE, case_of, read_provenance
 from studies.stages.pipeline import read_json
 from studies.tracking.runs import load_surrogate, run_store
 
-OF_VALUES: dict[str, tuple[str, Callable[[CalibratedValues], bytes]]] = {
-    "ssv": ("ssv", as_ssv),
-    "modelica": ("mo", as_modelica),
-    "csv": ("csv", as_csv),
-    "json": ("json", as_json),
-    "fmu": ("fmu", as_fmu),
+OF_VALUES: dict[str, Callable[[CalibratedValues], bytes]] = {
+    "ssv": as_ssv,
+    "modelica": as_modelica,
+    "csv": as_csv,
+    "json": as_json,
+    "fmu": as_fmu,
 }
-"""Ending of the file's name, and what it holds."""
+"""What a file of calibrated values holds, by its format."""
 FORMATS = (*OF_VALUES, "onnx")
 
 
-def write_best(
-    project: Project, words: Sequence[str], n_train: int | None, experiment: str | None = None
-) -> Path:
+def write_best(project: Project, words: Sequence[str], n_train: int | None, experiment: str | None) -> Path:
     """Write the best calibration, or the best surrogate, to a new file.
 
     Args:
@@ -63,12 +61,11 @@ def write_best(
         _refuse_existing(Path(files[0]))
     if kind == "onnx":
         name, content = as_onnx(project, n_train)
-        ending = kind
     else:
         found = calibrated_values(project, experiment)
-        ending, written = OF_VALUES[kind]
-        name, content = f"{found.case.name}-calibrated", written(found)
-    file = Path(files[0]) if files else Path(f"{folder_name(name)}.{ending}")
+        name, content = f"{found.case.name}-calibrated", OF_VALUES[kind](found)
+    ending = "mo" if kind == "modelica" else kind
+    file = Path(files[0] if files else f"{folder_name(name)}.{ending}")
     _refuse_existing(file)
     try:
         with whole_file(file) as stream:

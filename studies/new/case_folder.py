@@ -1,10 +1,9 @@
 """`studies new`: from an FMU's own description to a case file, a data folder and example CSV files."""
 
 import argparse
-import filecmp
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,11 @@ from studies.new.choice import (
     choose_parameters,
     choose_times,
     inputs_of,
-    other_parameters,
     parameter_candidates,
 )
 from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
 from studies.paths import ProjectPaths, mark_project
-from studies.report.wording import count
+from studies.report.wording import axis_label, count
 
 
 @dataclass(frozen=True)
@@ -34,44 +32,32 @@ class MadeCase:
 
     Attributes:
         case: Its content.
-        file: The case file.
         files: All files, the case file first.
         kept: Files that were there already, which are left as they are.
         to_edit: Lines of the case file that are marked EDIT, with their numbers.
     """
 
     case: NewCase
-    file: Path
     files: tuple[Path, ...]
     kept: tuple[Path, ...]
     to_edit: tuple[tuple[int, str], ...]
 
 
-def make_case(
-    fmu_file: Path,
-    paths: ProjectPaths,
-    *,
-    folder: Path | None = None,
-    outputs: Sequence[str] = (),
-    parameters: Sequence[str] = (),
-) -> MadeCase:
+def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
     """Write a case file for an FMU, copy the FMU beside it and lay out the folder of its recordings.
 
     Args:
-        fmu_file: The FMU.
+        options: The words of `studies new`.
         paths: The project.
-        folder: Folder of the case; None for fmus/<name of the FMU's file>.
-        outputs: Names or patterns of the outputs that are measured; empty for the first.
-        parameters: Names or patterns of the parameters to calibrate; empty for those at the top level.
 
     Raises:
         InputError: The FMU cannot be used, a name is not in it, there is a case file or another FMU of that
             name, or the folder cannot be written.
     """
-    fmu = describe(fmu_file)
-    folder = _folder(fmu_file, paths, folder)
+    fmu_file: Path = options.fmu.expanduser()
+    fmu, folder = describe(fmu_file), _folder(fmu_file, paths, options.to)
     name = case_name(folder.name)
-    chosen = choose_parameters(fmu, parameters)
+    chosen = choose_parameters(fmu, options.parameter)
     is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
     data = paths.data / name if is_named else folder
     case = NewCase(
@@ -82,10 +68,8 @@ def make_case(
         data=f"../../data/{name}" if is_named else ".",
         interface="co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange",
         inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
-        held_inputs=inputs_of(fmu, held=True),
-        outputs=choose_outputs(fmu, outputs),
+        outputs=choose_outputs(fmu, options.output),
         parameters=chosen,
-        fixable=other_parameters(fmu),
         times=choose_times(fmu),
     )
     case_file, copied = folder / "case.toml", folder / fmu_file.name
@@ -103,7 +87,7 @@ def make_case(
             "--to FOLDER"
         ) from None
     files = (*reversed(texts), *[copied] * is_copied)
-    return MadeCase(case, case_file, files, tuple(kept), tuple(lines_to_edit(texts[case_file])))
+    return MadeCase(case, files, tuple(kept), tuple(lines_to_edit(texts[case_file])))
 
 
 def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
@@ -115,16 +99,15 @@ def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: Proje
     Returns:
         Whether the FMU was copied.
     """
-    case_file = list(texts)[-1]
-    is_another = copied.exists() and not (copied.is_file() and filecmp.cmp(copied, fmu_file, shallow=False))
-    for file in [case_file] if case_file.exists() else [copied] if is_another else []:
+    case_file, content = list(texts)[-1], fmu_file.read_bytes()
+    for file in [case_file] if case_file.exists() else [copied] if _holds_other(copied, content) else []:
         raise InputError(
             f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
         )
     is_copied = not copied.exists()
     for file in [copied] * is_copied + list(texts):
         with whole_file(file) as stream:
-            stream.write(fmu_file.read_bytes() if file == copied else texts[file].encode())
+            stream.write(content if file == copied else texts[file].encode())
     return is_copied
 
 
@@ -151,28 +134,21 @@ def case_name(text: str) -> str:
 
 def _folder(fmu_file: Path, paths: ProjectPaths, wanted: Path | None) -> Path:
     if wanted is not None:
-        return wanted.resolve()
+        return wanted.expanduser().resolve()
     # An FMU that was put into a folder of its own below fmus/ stays there.
     if fmu_file.resolve().parent.parent == paths.fmus.resolve():
         return fmu_file.resolve().parent
     return paths.fmus / case_name(fmu_file.stem)
 
 
-OK = 0
 _NUMBERS = [Column(word, True) for word in ("start", "min", "max")]
 
 
-def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
+def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> None:
     """Write a case and say what comes next."""
-    made = make_case(
-        Path(options.fmu).expanduser(),
-        paths,
-        folder=None if options.to is None else Path(options.to).expanduser(),
-        outputs=options.output or (),
-        parameters=options.parameter or (),
-    )
+    made = make_case(options, paths)
     mark_project(paths.root, console)
-    case, name = made.case, paths.show(made.file)
+    case, name = made.case, paths.show(made.files[0])
     for file in made.files:
         console.result(f"wrote {paths.show(file)}")
     for file in made.kept:
@@ -196,17 +172,14 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
             "next": [f"studies check {case.place}", f"studies calibrate {case.place}"],
         }
     )
-    return OK
 
 
-def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
+def list_variables(options: argparse.Namespace, console: Console) -> None:
     """Show what an FMU can be given and asked."""
-    fmu = describe(Path(options.fmu).expanduser())
-    named = options.parameter or ()
+    fmu, named = describe(options.fmu.expanduser()), options.parameter
     is_any = named or parameter_candidates(fmu)
     active = {v.name for v in choose_parameters(fmu, named).used} if is_any else set()
     document: dict[str, Any] = {"command": "new"}
-
     for what in (*["output"] * bool(fmu.names("output")), "input", "parameter", "local"):
         found = [fmu.variables[name] for name in fmu.names(what)]
         document[f"{what}s"] = [_as_json(v, active) for v in found]
@@ -221,20 +194,20 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
     if active:
         console.result("* calibrated" + ("" if named else " unless you name others with --parameter"))
     console.document(document)
-    return OK
 
 
 def _next_steps(made: MadeCase, paths: ProjectPaths) -> list[str]:
-    case, data = made.case, paths.show((made.file.parent / made.case.data).resolve())
+    case, file = made.case, made.files[0]
+    data = paths.show((file.parent / case.data).resolve())
     lines = ", ".join(str(number) for number, _ in made.to_edit)
-    steps = [f"save {data}/{file}: {_columns(variables)}" for file, variables, _ in case.tables]
-    steps.append(f"look at the lines marked EDIT of {paths.show(made.file)}: {lines}")
+    steps = [f"save {data}/{table}: {_columns(variables)}" for table, variables, _ in case.tables]
+    steps.append(f"look at the lines marked EDIT of {paths.show(file)}: {lines}")
     steps += [f"studies {word} {case.place}" for word in ("check", "calibrate")]
     return ["next:", *(f"  {number}. {step}" for number, step in enumerate(steps, start=1))]
 
 
 def _columns(variables: tuple[FmuVariable, ...], most: int = 8) -> str:
-    names = ["time_s", *(v.name + (f" [{v.unit}]" if v.unit else "") for v in variables[:most])]
+    names = ["time_s", *(axis_label(v.name, v.unit) for v in variables[:most])]
     return "columns " + ", ".join(names) + (", ..." if len(variables) > most else "")
 
 

@@ -121,14 +121,13 @@ def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
         patterns: Names or globs.
     """
     outputs = [v for v in _of(fmu, "output") if _is_number(v)]
-    candidates = [v for v in outputs if not is_internal(v)] or outputs
     # Local variables can be read as well, where one is asked for or there is nothing else.
     local = [v for v in _of(fmu, "local") if _is_number(v) and not is_internal(v) and v.name[:4] != "der("]
-    if not candidates and not local:
+    candidates = [v for v in outputs if not is_internal(v)] or outputs or local
+    if not candidates:
         raise InputError(f"{fmu.path}: has no real output; export it with the measured variables as outputs")
     if patterns:
         return _matching(fmu, outputs or local, patterns, "output", beside=local)
-    candidates = candidates or local
     return _split(candidates, candidates[:1])
 
 
@@ -178,19 +177,15 @@ def bounds_for(variable: FmuVariable) -> Bounds:
 
 def choose_times(fmu: FmuDescription) -> Times:
     """Take the default experiment for a first time axis."""
-    experiment, span = fmu.default_experiment, DAY_S
-    is_given = experiment.stop_s is not None and experiment.stop_s > (experiment.start_s or 0.0)
-    if experiment.stop_s is not None and is_given:
-        span = experiment.stop_s - (experiment.start_s or 0.0)
-    step = experiment.step_s
+    experiment = fmu.default_experiment
+    start_s, stop_s, step = experiment.start_s or 0.0, experiment.stop_s, experiment.step_s
+    span, why = DAY_S, "one day: the FMU names no default experiment"
+    if stop_s is not None and stop_s > start_s:
+        span, why = stop_s - start_s, "the FMU's default experiment"
     if step is None or not 0.0 < step <= span:
         step = _round_step(span / N_STEPS)
     n_steps = max(1, math.floor(span / step * (1.0 + 1e-9)))
-    return Times(
-        stop_s=n_steps * step,
-        step_s=step,
-        why="the FMU's default experiment" if is_given else "one day: the FMU names no default experiment",
-    )
+    return Times(n_steps * step, step, why)
 
 
 def _is_number(variable: FmuVariable) -> bool:
@@ -207,7 +202,7 @@ def _matching(
     patterns: Sequence[str],
     what: Literal["parameter", "output"],
     *,
-    beside: Sequence[FmuVariable] = (),
+    beside: Sequence[FmuVariable],
 ) -> Choice:
     """Choose the candidates that patterns match; a pattern that matches none may match others beside."""
     used: dict[str, FmuVariable] = {}

@@ -12,7 +12,7 @@ from jinja2 import Environment
 
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
-from studies.new.choice import Choice, Times, bounds_for
+from studies.new.choice import Choice, Times, bounds_for, inputs_of, other_parameters
 from studies.templates import environment
 
 MOST_SHOWN = 40
@@ -33,10 +33,8 @@ class NewCase:
         data: The folder of the recordings, from the case's folder.
         interface: How the FMU is run.
         inputs: The inputs that recordings drive.
-        held_inputs: The inputs that are held at a value.
         outputs: The outputs.
         parameters: The parameters.
-        fixable: Parameters that can be fixed but not calibrated.
         times: The time axis.
     """
 
@@ -47,10 +45,8 @@ class NewCase:
     data: str
     interface: str
     inputs: tuple[FmuVariable, ...]
-    held_inputs: tuple[FmuVariable, ...]
     outputs: Choice
     parameters: Choice
-    fixable: tuple[FmuVariable, ...]
     times: Times
 
     @property
@@ -62,8 +58,11 @@ class NewCase:
 
 def case_text(case: NewCase) -> str:
     """Return the case file."""
-    template = _environment().get_template("case.toml.jinja")
-    return template.render(case=case, fmu=case.fmu, times=case.times, most=MOST_SHOWN)
+    template, fmu = _environment().get_template("case.toml.jinja"), case.fmu
+    held, fixable = inputs_of(fmu, held=True), other_parameters(fmu)
+    return template.render(
+        case=case, fmu=fmu, times=case.times, most=MOST_SHOWN, held_inputs=held, fixable=fixable
+    )
 
 
 def data_readme(case: NewCase) -> str:

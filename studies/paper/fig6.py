@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from studies.paper.items import Origin, Shown, origin_of, write_size
+from studies.paper.items import Cell, Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.report.figures_model import ErrorLine, TrialsRecord, mae_over_n_figure
+from studies.report.figures_model import TrialsRecord, mae_over_n_figure
 from studies.row_set import RowSet
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage
@@ -20,10 +20,6 @@ from studies.stages.stage_results import SimulatedSets
 from studies.stages.tuned_trials import tuned_by_size
 from studies.tuning.study_results import TrialView, TunedStudy, importances
 
-COLUMNS = (
-    "n_train", "trials", "pruned", "MAE", "P90", "n_latent", "n_hidden", "beta", "learning_rate",
-    "MAE untuned", "gain", "PCA+GP MAE", "PCA+GP P90", "faithful MAE", "mean's MAE", "paper MAE",
-)  # fmt: skip
 SETTINGS = ("n_latent", "n_hidden", "beta", "learning_rate")
 
 
@@ -87,12 +83,6 @@ class Tuning:
         """The complete trial of least validation error."""
         complete = [trial for trial in self.trials if trial.state == "complete"]
         return min(complete, key=lambda trial: (_known(trial.val_mae), trial.number))
-
-    def setting(self, trial: Trial, name: str) -> float | int:
-        """Return a number among the settings of a trial's surrogate."""
-        settings: dict[str, Any] = {**self.settings, **trial.params}
-        number: float | int = settings[name]
-        return number
 
 
 @dataclass(frozen=True)
@@ -162,38 +152,39 @@ def shown(origin: Origin, sizes: Sequence[SizeTrials]) -> Shown:
         origin: where the sizes come from.
         sizes: all trials by size, the smallest first.
     """
-    window = f"days {origin.window_d[0]:g} to {origin.window_d[1]:g}"
+    window, rows = f"days {origin.window_d[0]:g} to {origin.window_d[1]:g}", [_row(size) for size in sizes]
     published = {n: (mae,) for n, mae in FIG_6_MAE.items()} | {FIG_6_RANGE[0]: FIG_6_RANGE[1:]}
     return Shown(
         f"Fig. 6: hyperparameters tuned on {window}; test errors [{origin.unit}] of the best by validation",
-        COLUMNS,
-        tuple(map(_row, sizes)),
+        tuple(rows[0]),
+        tuple(tuple(row.values()) for row in rows),
         "mae-over-n.png",
-        mae_over_n_figure(_record(sizes), unit=origin.unit, published=published, beside=_lines(sizes)),
+        mae_over_n_figure(_record(sizes), unit=origin.unit, published=published, beside=_beside(sizes)),
         f"{origin.label}, {window}",
         {"importances": importances_by_size(sizes)},
     )
 
 
-def _row(size: SizeTrials) -> tuple[float | int | None, ...]:
+def _row(size: SizeTrials) -> dict[str, Cell]:
     tuning, best = size.networks, size.networks.best
+    settings: dict[str, Any] = {**tuning.settings, **best.params}
     default = next((t for t in tuning.trials if t.proposed_by == "default" and t.state == "complete"), None)
     beside = None if size.pca_gp is None else size.pca_gp.best
-    return (
-        size.n_train,
-        len(tuning.trials),
-        sum(trial.state == "pruned" for trial in tuning.trials),
-        best.test_mae,
-        best.test_p90,
-        *(tuning.setting(best, name) for name in SETTINGS),
-        None if default is None else default.test_mae,
-        None if default is None else 1.0 - _known(best.test_mae) / _known(default.test_mae),
-        None if beside is None else beside.test_mae,
-        None if beside is None else beside.test_p90,
-        None if size.faithful is None else size.faithful.best.test_mae,
-        size.mean_predictor_mae,
-        FIG_6_MAE.get(size.n_train),
-    )
+    return {
+        "n_train": size.n_train,
+        "trials": len(tuning.trials),
+        "pruned": sum(trial.state == "pruned" for trial in tuning.trials),
+        "MAE": best.test_mae,
+        "P90": best.test_p90,
+        **{name: settings[name] for name in SETTINGS},
+        "MAE untuned": None if default is None else default.test_mae,
+        "gain": None if default is None else 1.0 - _known(best.test_mae) / _known(default.test_mae),
+        "PCA+GP MAE": None if beside is None else beside.test_mae,
+        "PCA+GP P90": None if beside is None else beside.test_p90,
+        "faithful MAE": None if size.faithful is None else size.faithful.best.test_mae,
+        "mean's MAE": size.mean_predictor_mae,
+        "paper MAE": FIG_6_MAE.get(size.n_train),
+    }
 
 
 def importances_by_size(sizes: Sequence[SizeTrials]) -> dict[str, dict[str, float]]:
@@ -228,17 +219,17 @@ def _record(sizes: Sequence[SizeTrials]) -> TrialsRecord:
     )  # fmt: skip
 
 
-def _lines(sizes: Sequence[SizeTrials]) -> list[ErrorLine]:
-    lines = []
+def _beside(sizes: Sequence[SizeTrials]) -> dict[str, dict[int, tuple[float, float]]]:
+    """Return test MAE and 90th percentile of the other surrogates by name and size. [output's unit]."""
+    found = {}
     for name, tunings in (
         ("PCA + GP", {size.n_train: size.pca_gp for size in sizes}),
         ("faithful form, its best", {size.n_train: size.faithful for size in sizes}),
     ):
         best = {n: tuning.best for n, tuning in tunings.items() if tuning is not None}
-        errors = np.array([(one.test_mae, one.test_p90) for one in best.values()], dtype=np.float64)
         if best:
-            lines.append(ErrorLine(name, np.array([*best]), *errors.T))
-    return lines
+            found[name] = {n: (_known(one.test_mae), _known(one.test_p90)) for n, one in best.items()}
+    return found
 
 
 def _known(error: float | None) -> float:

@@ -9,7 +9,7 @@ from pelsvae.metrics import Errors, errors
 from simulation.design import spread_design
 from simulation.trajectories import Trajectories
 from studies.paper.items import Origin, Shown, origin_of, write_size
-from studies.paper.models import Settings, chosen_settings, train_again
+from studies.paper.models import Chosen, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import N_IMPORTANT
 from studies.physical_model import open_physical_model
@@ -27,14 +27,10 @@ KINDS = {"important": "(a) six important parameters restricted", "all": "(b) all
 
 
 @dataclass(frozen=True)
-class SpreadSize:
+class SpreadSize(Chosen):
     """The errors of one training-set size.
 
     Args:
-        n_train: training-set size.
-        surrogate: form of the surrogate.
-        settings: its hyperparameters, tuned for Fig. 6.
-        tuned_on_d: first and last day of that. [d]
         training_s: duration of the training. [s]
         important: parameters that are restricted in (a).
         n_spread: rows of each test set.
@@ -43,10 +39,6 @@ class SpreadSize:
         p90: 90th percentile, the same. [output's unit]
     """
 
-    n_train: int
-    surrogate: str
-    settings: Settings
-    tuned_on_d: tuple[float, float]
     training_s: float
     important: tuple[str, ...]
     n_spread: int
@@ -61,17 +53,14 @@ SIZE = SpreadSize
 def run(plan: Plan) -> Shown:
     """Simulate the test sets and let the best of every size, trained again, predict them."""
     chosen = chosen_settings(plan)
-    trained = {n: train_again(plan.study, n, chosen.settings[n]) for n in plan.budget.n_train}
+    trained = {n: train_again(plan.study, n, one.settings) for n, one in chosen.items()}
     study = next(iter(trained.values()))[0]
     important = important_parameters(plan.study)
     judged, n_rows = _judge(study, plan.budget.n_spread, important)
     origin = origin_of(plan, plan.study, "fig7")
     found = [
         SpreadSize(
-            n_train=n,
-            surrogate=study.profile.tuning.surrogate,
-            settings=chosen.settings[n],
-            tuned_on_d=chosen.window_d,
+            **vars(chosen[n]),
             training_s=round(training_s, 1),
             important=important,
             n_spread=plan.budget.n_spread,

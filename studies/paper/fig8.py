@@ -52,17 +52,16 @@ def _numbers(starts: Sequence[Start]) -> tuple[Cell, ...]:
     return sum(one.n_calls for one in starts), float(mse[0]), *means, int(np.sum(mse <= 1.01 * mse[0]))
 
 
-def largest_clusters(u: FloatArray, n_clusters: int, seed: int = 0) -> list[FloatArray]:
+def largest_clusters(u: FloatArray, n_clusters: int) -> list[FloatArray]:
     """Group points with k-means and return the groups, the largest first.
 
     Args:
         u: points. Shape (n, p).
         n_clusters: centroids; as many as there are different points at most.
-        seed: seed of the first centroids.
     """
     n_clusters = min(n_clusters, len(np.unique(u, axis=0)))
     # "++" begins with centroids that lie at points, so that hardly a cluster stays empty.
-    _, labels = kmeans2(u, n_clusters, iter=100, minit="++", rng=np.random.default_rng(seed))
+    _, labels = kmeans2(u, n_clusters, iter=100, minit="++", rng=np.random.default_rng(0))
     return sorted((u[labels == k] for k in range(n_clusters)), key=len, reverse=True)
 
 

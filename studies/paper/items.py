@@ -2,22 +2,19 @@
 
 import importlib
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from simulation.errors import InputError
-from studies.paper import ALIASES, ITEMS
+from studies.paper import ITEMS
 from studies.paper.plan import Plan
 from studies.paths import size_name
+from studies.report.drawing import Figure, write_picture
 from studies.report.wording import difference_unit
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
 from studies.stages.saved import plain, rebuilt
 from studies.tracking.origin import versions
-
-if TYPE_CHECKING:
-    from studies.report.drawing import Figure
 
 RESULT = "result.json"
 
@@ -44,14 +41,12 @@ class Shown:
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     picture: str = ""
-    figure: "Figure | None" = None
+    figure: Figure | None = None
     footnote: str = ""
     more: dict[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path, command: str) -> list[Path]:
         """Write table and numbers, draw the picture, and return the files, the JSON file first."""
-        from studies.report.drawing import write_picture
-
         table = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         write_json(folder / RESULT, {"command": command, "title": self.title, "table": table, **self.more})
         if self.figure is None:
@@ -65,23 +60,6 @@ def module_of(item: str) -> Any:
     A module of `DRAWN` also has `SIZE`, the dataclass of a training-set size, and `shown`, which draws these.
     """
     return importlib.import_module(f"studies.paper.{item}")
-
-
-def chosen_items(words: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the items that some words mean, in the order of the paper; all of them without words.
-
-    Raises:
-        InputError: a word means no item.
-    """
-    if not words:
-        return tuple(ITEMS)
-    wanted = {ALIASES.get(word, word): word for word in words}
-    for item, word in wanted.items():
-        if item not in ITEMS:
-            raise InputError(
-                f"--only {word}: there is no such item; there are {', '.join((*ITEMS, *ALIASES))}"
-            )
-    return tuple(item for item in ITEMS if item in wanted)
 
 
 def make(plan: Plan, item: str) -> tuple[Shown, list[Path]]:

@@ -1,6 +1,5 @@
 """The surrogates of Fig. 7 and Table 4: the best of each size in Fig. 6, trained once more on other data."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from simulation.errors import InputError
@@ -17,19 +16,23 @@ Settings = dict[str, Value]
 
 @dataclass(frozen=True)
 class Chosen:
-    """What Fig. 6 chose.
+    """What Fig. 6 chose for a training-set size: the best trial by validation error.
 
     Args:
-        settings: hyperparameters of the best trial by validation error, by training-set size.
-        window_d: days on which they were tuned. [d]
+        n_train: training-set size.
+        surrogate: form of the surrogate.
+        settings: its hyperparameters, tuned for Fig. 6.
+        tuned_on_d: first and last day of that. [d]
     """
 
-    settings: Mapping[int, Settings]
-    window_d: tuple[float, float]
+    n_train: int
+    surrogate: str
+    settings: Settings
+    tuned_on_d: tuple[float, float]
 
 
-def chosen_settings(plan: Plan) -> Chosen:
-    """Return the hyperparameters of the best trial of each of the plan's sizes.
+def chosen_settings(plan: Plan) -> dict[int, Chosen]:
+    """Return what Fig. 6 chose for each of the plan's sizes.
 
     Raises:
         InputError: there are no trials of a size, or they are those of another form of the surrogate.
@@ -45,7 +48,8 @@ def chosen_settings(plan: Plan) -> Chosen:
                 f"{folder} holds trials of surrogate {tunings[n].surrogate!r}, the profile asks for "
                 f"{wanted!r}; name a profile with --profile"
             )
-    return Chosen({n: dict(tunings[n].best.params) for n in plan.budget.n_train}, origin.window_d)
+    days = origin.window_d
+    return {n: Chosen(n, wanted, dict(tunings[n].best.params), days) for n in plan.budget.n_train}
 
 
 def train_again(study: Study, n_train: int, settings: Settings) -> tuple[Study, float]:

@@ -5,7 +5,7 @@ tolerances are adapted to the FMU-settings" (Table 2): so defaults are used here
 tolerance that a row states. Calls are counted at the model, finite differences included, and not stored.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -27,7 +27,7 @@ from simulation.parameters import ParameterSpace
 from simulation.pool.pool_model import PoolModel
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Recorder
-from studies.paper.items import Shown
+from studies.paper.items import Cell, Shown
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_3
 from studies.report.wording import square_of
@@ -258,27 +258,24 @@ def _solve(row: Row, residuals: Callable[[FloatArray], FloatArray], bounds: Boun
     return str(solver(mse, x0, method=row.method, bounds=bounds, tol=tol, options=options).message)
 
 
-Found = list[tuple[Row, tuple[Start, ...], int | None, float | None]]
-
-
 def run(plan: Plan) -> Shown:
     """Compute the rows of the budget, in the order of the paper, and LS-TRF in the scales of the case."""
     study, folder = plan.study, plan.folder("table3")
-    seed = study.profile.seed
-    rows: list[tuple[Row, int | None, float | None]] = [
-        (replace(SETTINGS[method], n_starts=n_starts, seed=seed), n_calls, mse)
+
+    def cells(method: str, n_calls: int | None, mse: float | None, **changes: Any) -> tuple[Cell, ...]:
+        row = replace(SETTINGS[method], seed=study.profile.seed, **changes)
+        starts = computed(study, row, folder)
+        return row.title, sum(one.n_calls for one in starts), min(one.mse for one in starts), n_calls, mse
+
+    rows = [
+        cells(method, n_calls, mse, n_starts=n_starts)
         for method, n_starts, n_calls, mse in TABLE_3
         if n_calls <= plan.budget.max_row_calls
     ]
-    rows.append((replace(SETTINGS["LS-TRF"], seed=seed, in_unit_cube=True), None, None))
-    found: Found = [(row, computed(study, row, folder), n_calls, mse) for row, n_calls, mse in rows]
+    own_scales = cells("LS-TRF", None, None, in_unit_cube=True)
     unit = square_of(study.case.outputs[0].unit)
     return Shown(
         f"Table 3: optimizers on the FMU; of many starts the best; MSE [{unit}]",
         ("method", "calls", "MSE", "paper: calls", "paper: MSE"),
-        tuple((row.title, *_sum(starts), n_calls, mse) for row, starts, n_calls, mse in found),
+        (*rows, own_scales),
     )
-
-
-def _sum(starts: Sequence[Start]) -> tuple[int, float]:
-    return sum(one.n_calls for one in starts), min(one.mse for one in starts)

@@ -1,6 +1,6 @@
 """Table 4 and Fig. 9: for every size and seed the screened point, the gap, the polish, and what it cost."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
 from studies.paper.items import Origin, Shown, origin_of, write_size
-from studies.paper.models import Settings, chosen_settings, train_again
+from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
 from studies.physical_model import open_physical_model
@@ -31,13 +31,6 @@ from studies.report.wording import axis_label, count, squared
 from studies.stages.calibrate_stage import calibrate_stage
 from studies.stages.pipeline import Study
 from studies.stages.saved import Error
-
-COLUMNS = (
-    "n_train", "seeds", "test MAE", "MSE surrogate", "MSE screened", "polish calls", "final MSE", "calls",
-    "calls, validation and test too", f"calls to {USUAL_MSE}", "lower quartile", "upper quartile",
-    "calls to the paper's final", "final MSE, squared residuals", "paper: screened", "paper: final",
-    "paper: calls",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -94,24 +87,16 @@ class SeedCalibration:
 
 
 @dataclass(frozen=True)
-class SizeCalibrations:
+class SizeCalibrations(Chosen):
     """All calibrations of one training-set size.
 
     Args:
-        n_train: training-set size.
-        surrogate: form of the surrogate.
-        settings: its hyperparameters, tuned for Fig. 6.
-        tuned_on_d: first and last day of that. [d]
         screening: settings of the screening.
         max_calls: most calls of a polish.
         references: known MSEs: label, MSE, whether it is a target.
         calibrations: one per seed; the first has the seed of Fig. 6.
     """
 
-    n_train: int
-    surrogate: str
-    settings: Settings
-    tuned_on_d: tuple[float, float]
     screening: dict[str, float]
     max_calls: int
     references: tuple[tuple[str, float, bool], ...]
@@ -128,13 +113,10 @@ def run(plan: Plan) -> Shown:
     # All sizes with the first seed come first, each written at once: an interruption leaves what there is.
     for study in plan.seed_studies():
         for n in study.profile.data.n_train:
-            found = calibrated(study, n, chosen.settings[n])
+            found = calibrated(study, n, chosen[n].settings)
             before = sizes[n].calibrations if n in sizes else ()
             sizes[n] = SizeCalibrations(
-                n_train=n,
-                surrogate=study.profile.tuning.surrogate,
-                settings=chosen.settings[n],
-                tuned_on_d=chosen.window_d,
+                **vars(chosen[n]),
                 screening=asdict(study.profile.screening),
                 max_calls=study.profile.polish.max_calls,
                 references=tuple(
@@ -204,51 +186,53 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Shown:
         origin: where the calibrations come from.
         sizes: all calibrations by size, the smallest first.
     """
+    rows = [_row(origin, size) for size in sizes]
     return Shown(
         f"Table 4, medians over the seeds; MSE [{squared(origin.unit)}], calls of the training set included",
-        COLUMNS,
-        tuple(_row(origin, size) for size in sizes),
+        tuple(rows[0]),
+        tuple(tuple(row.values()) for row in rows),
         "fig9.png",
         _fig9(origin, sizes),
         f"{origin.label}, seed {origin.seed}",
     )
 
 
-def _row(origin: Origin, size: SizeCalibrations) -> tuple[float | None, ...]:
+def _row(origin: Origin, size: SizeCalibrations) -> dict[str, float | None]:
     n, paper = size.n_train, TABLE_4.get(size.n_train)
 
-    def all_of(value: Callable[[SeedCalibration], float]) -> FloatArray:
-        return np.array([value(one) for one in size.calibrations])
+    def middle(values: Iterable[float]) -> float:
+        return quartiles([*values])[1]
 
-    def middle(value: Callable[[SeedCalibration], float]) -> float:
-        return quartiles(all_of(value))[1]
+    every = size.calibrations
+    low, to_usual, high = quartiles([n + one.calls_to(USUAL_MSE) for one in every])
+    in_all = middle(n + one.n_calls for one in every)
+    to_final = None if paper is None else middle(n + one.calls_to(paper.mse_polished) for one in every)
+    return {
+        "n_train": n,
+        "seeds": len(every),
+        "test MAE": middle(one.test_mae for one in every),
+        "MSE surrogate": middle(one.mse_surrogate for one in every),
+        "MSE screened": middle(one.mse_screened for one in every),
+        "polish calls": middle(one.n_polish for one in every),
+        "final MSE": middle(one.mse_polished for one in every),
+        "calls": in_all,
+        "calls, validation and test too": in_all + origin.n_validation + origin.n_test,
+        f"calls to {USUAL_MSE}": to_usual,
+        "lower quartile": low,
+        "upper quartile": high,
+        "calls to the paper's final": to_final,
+        "final MSE, squared residuals": middle(one.squared_mse for one in every),
+        "paper: screened": None if paper is None else paper.mse_screened,
+        "paper: final": None if paper is None else paper.mse_polished,
+        "paper: calls": None if paper is None else paper.total,
+    }
 
-    low, to_usual, high = quartiles(all_of(lambda one: n + one.calls_to(USUAL_MSE)))
-    in_all = middle(lambda one: n + one.n_calls)
-    return (
-        n,
-        len(size.calibrations),
-        middle(lambda one: one.test_mae),
-        middle(lambda one: one.mse_surrogate),
-        middle(lambda one: one.mse_screened),
-        middle(lambda one: one.n_polish),
-        middle(lambda one: one.mse_polished),
-        in_all,
-        in_all + origin.n_validation + origin.n_test,
-        to_usual,
-        low,
-        high,
-        None if paper is None else middle(lambda one: n + one.calls_to(paper.mse_polished)),
-        middle(lambda one: one.squared_mse),
-        *((None, None, None) if paper is None else (paper.mse_screened, paper.mse_polished, paper.total)),
-    )
 
-
-def quartiles(values: FloatArray) -> list[float]:
+def quartiles(values: Sequence[float]) -> list[float]:
     """Return lower quartile, median and upper quartile; a quartile between two values is their mean.
 
     Args:
-        values: Infinite where a target was never reached. Shape (n,).
+        values: Infinite where a target was never reached.
     """
     # NumPy's would be NaN beside an infinite value.
     ordered, places = np.sort(values), len(values) * np.array([0.25, 0.5, 0.75])

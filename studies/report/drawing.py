@@ -145,12 +145,14 @@ class Figure:
         panels: From left to right, then downward.
         columns: Panels per row; a narrow page has one.
         shows_names: Whether the names of the panels stand above them.
+        caption: What stands below it on the page.
     """
 
     title: str
     panels: tuple[Panel, ...]
     columns: int = 1
     shows_names: bool = False
+    caption: str = ""
 
     def to_csv(self) -> str:
         """Write the values of all series, one row each; what is not finite is left empty."""

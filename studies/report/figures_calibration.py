@@ -206,7 +206,8 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
     x = Axis("model calls", {"domain": [first, last + 0.01 * (last - first)], "nice": False})
     panel = Panel(name, x, Axis(axis_label(f"best {name}", unit), LOG), series, 260)
     total = count(found.n_calls_paper, "model call")
-    return Figure(f"Best {name} over model calls: {quantity(final, unit)} after {total}", (panel,))
+    title = f"Best {name} over model calls: {quantity(final, unit)} after {total}"
+    return Figure(title, (panel,), caption=f"The search ended because {found.stop_reason}.")
 
 
 def band_figure(case: Case, found: Uncertainty) -> Figure:
@@ -221,7 +222,8 @@ def band_figure(case: Case, found: Uncertainty) -> Figure:
         _output(output.name, output_axis(case, k), at, k, bands=bands, measurement=case.measurement, size=10)
         for k, output in enumerate(case.outputs)
     ]
-    return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels))
+    caption = "Dark: the simulations of equally good parameter sets. Light: measured values to be expected."
+    return Figure(f"{percent(found.level)} bands of the outputs", tuple(panels), caption=caption)
 
 
 def prediction_figure(found: Prediction, measurement: Measurement | None = None) -> Figure:
@@ -254,6 +256,7 @@ def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
     names = list(found.parameters)
     linear_low, linear_high = box.to_unit(found.linear)
     point, dot = box.to_unit(found.point), {"filled": True, "size": 30}
+    caption = "The linearised interval and the calibrated value; too few calls to say more."
     series = [
         Series("linearised", SCREENED, linear_low, names, "rule", {"yOffset": 5}, x_end=linear_high),
         Series("calibrated", INK, point, names, "point", dot),
@@ -263,9 +266,10 @@ def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
         what, thick = f"{percent(found.level)} interval", {"strokeWidth": 4}
         interval = Series(what, POLISHED, low, names, "rule", thick, x_end=high)
         series = [_density(box, found.particles_theta, names), interval, *series]
+        caption = "Density and interval of the posterior, linearised interval, and calibrated value."
     x = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS)
     panel = Panel("parameters", x, Axis("", is_of_names=True), series, 26 * len(names))
-    return Figure("Intervals of the parameters between their bounds", (panel,))
+    return Figure("Intervals of the parameters between their bounds", (panel,), caption=caption)
 
 
 def _density(box: ParameterSpace, particles: FloatArray, names: list[str]) -> Series:

@@ -32,18 +32,17 @@ from studies.report.figures_calibration import limit_lines, output_axis
 from studies.report.wording import axis_label, count, percent, significant
 from studies.sobol import SobolIndices
 
-N_SHOWN = 6
-"""Parameters whose indices over time are shown, the largest; the table has all."""
-
 
 def coverage_figure(case: Case, y: FloatArray) -> Figure:
     """Show where the trajectories of the training set lie, with the measurement over them (Fig. 4).
+
+    The caption says whether they could have produced the measurement.
 
     Args:
         case: What is to be covered.
         y: The trajectories; failed rows, which are NaN, are left out. Shape (n, t, k). [per output]
     """
-    good, measurement = without_failed(y), case.measurement
+    good, measurement = y[np.isfinite(y).all(axis=(1, 2))], case.measurement
     axis, unit = time_axis(measurement.time)
     time, panels = unit.of_seconds(measurement.time), []
     for k, name in enumerate(measurement.output_names):
@@ -60,21 +59,11 @@ def coverage_figure(case: Case, y: FloatArray) -> Figure:
             ]
         panels.append(Panel(name, axis, output_axis(case, k), series, 240))
     title = f"The measurement and {count(len(good), 'simulation')} of the training set"
-    return Figure(title, tuple(panels))
-
-
-def coverage_caption(case: Case, y: FloatArray) -> str:
-    """Say whether the trajectories of `coverage_figure` could have produced the measurement."""
-    good = without_failed(y)
-    n_failed = len(y) - len(good)
-    failed = f" {count(n_failed, 'simulation')} failed." if n_failed else ""
-    share = percent(enclosed_fraction(case.measurement, good))
-    return f"{share} of the measured values lie between the lowest and the highest simulated one.{failed}"
-
-
-def without_failed(y: FloatArray) -> FloatArray:
-    """Return the trajectories that hold no NaN. Shape (n_good, t, k). [per output]."""
-    return y[np.isfinite(y).all(axis=(1, 2))]
+    share, n_failed = percent(enclosed_fraction(measurement, good)), len(y) - len(good)
+    caption = f"{share} of the measured values lie between the lowest and the highest simulated one."
+    if n_failed:
+        caption += f" {count(n_failed, 'simulation')} failed."
+    return Figure(title, tuple(panels), caption=caption)
 
 
 def enclosed_fraction(measurement: Measurement, y: FloatArray) -> float:
@@ -91,33 +80,34 @@ def enclosed_fraction(measurement: Measurement, y: FloatArray) -> float:
     return float(np.mean(np.concatenate(inside)))
 
 
-def sensitivity_figure(sensitivity: SobolIndices) -> Figure:
+def sensitivity_figure(found: SobolIndices) -> Figure:
     """Show the largest first- and total-order indices of every output over time, with their intervals.
 
     Args:
-        sensitivity: Sobol indices per time step.
+        found: Sobol indices per time step.
     """
-    s = sensitivity
-    axis, unit = time_axis(s.time)
-    time, panels = unit.of_seconds(s.time), []
-    for k, output in enumerate(s.output_names):
+    axis, unit = time_axis(found.time)
+    time, panels = unit.of_seconds(found.time), []
+    for k, output in enumerate(found.output_names):
         for kind, all_values, all_halves in (
-            ("First order", s.first_order, s.first_order_ci),
-            ("Total order", s.total_order, s.total_order_ci),
+            ("First order", found.first_order, found.first_order_ci),
+            ("Total order", found.total_order, found.total_order_ci),
         ):
             series = []
-            for rank, i in enumerate(s.order(k)[:N_SHOWN]):
+            # The largest, as many as there are colors; the table has all.
+            for color, i in zip(SERIES, found.order(k), strict=False):
                 value, half = all_values[:, k, i], all_halves[:, k, i]
-                series.append(
-                    Series(
-                        shortened(s.names[i]), SERIES[rank], time, value, low=value - half, high=value + half
-                    )
-                )
+                low, high = value - half, value + half
+                series.append(Series(shortened(found.names[i]), color, time, value, low=low, high=high))
             n_undefined = int(np.sum(~np.isfinite(all_values[:, k]).all(axis=1)))
             undefined = f"; undefined at {count(n_undefined, 'time step')}" if n_undefined else ""
             name = f"{kind}, {shortened(output)}{undefined}"
             panels.append(Panel(name, axis, Axis("share of the variance [1]"), series))
-    return Figure("Sobol indices over time", tuple(panels), shows_names=True)
+    caption = (
+        f"From {count(found.n_calls, 'simulation')} of the FMU; the six largest are shown. "
+        "What the first orders miss to 1 are interactions."
+    )
+    return Figure("Sobol indices over time", tuple(panels), shows_names=True, caption=caption)
 
 
 TrialRow = tuple[int, str, float | None, float | None, float | None, bool]
@@ -151,28 +141,11 @@ class TrialsRecord:
         return cls(np.array(sizes), states, validation, mae, p90, np.array(best))
 
 
-@dataclass(frozen=True)
-class ErrorLine:
-    """Test errors of another surrogate by training-set size, drawn as a line.
-
-    Attributes:
-        name: Which surrogate.
-        n_train: Training-set sizes, rising. Shape (s,).
-        mae: Shape (s,). [output unit, differences]
-        p90: 90th percentile of the absolute errors. Shape (s,). [output unit, differences]
-    """
-
-    name: str
-    n_train: IntArray
-    mae: FloatArray
-    p90: FloatArray
-
-
 def mae_over_n_figure(
     trials: TrialsRecord,
     *,
     unit: str,
-    beside: Sequence[ErrorLine] = (),
+    beside: Mapping[str, Mapping[int, tuple[float, float]]] = MappingProxyType({}),
     published: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
 ) -> Figure:
     """Show every trial's test error over the training-set size, mean beside 90th percentile (Fig. 6).
@@ -180,7 +153,8 @@ def mae_over_n_figure(
     Args:
         trials: All trials; pruned ones are shown at their last validation error, failed ones counted.
         unit: Unit of the errors, e.g. "K".
-        beside: At most two other surrogates, drawn as lines.
+        beside: At most two other surrogates, drawn as lines: by name and rising training-set size the MAE
+            and the 90th percentile. [unit]
         published: MAE that the paper names, by training-set size: one value, or least and largest. [unit]
     """
     x, panels = Axis("training simulations", LOG2, ticks=tuple(np.unique(trials.n_train).tolist())), []
@@ -190,8 +164,8 @@ def mae_over_n_figure(
     ):
         series = _trials(trials, values, is_mae=is_mae)
         for line, color, dashes in zip(beside, (SERIES[2], SERIES[4]), ([1, 0], [4, 2]), strict=False):
-            errors = line.mae if is_mae else line.p90
-            series.append(Series(line.name, color, line.n_train, errors, style={"strokeDash": dashes}))
+            errors = [mae if is_mae else p90 for mae, p90 in beside[line].values()]
+            series.append(Series(line, color, [*beside[line]], errors, style={"strokeDash": dashes}))
         if is_mae and published:
             sizes = [n for n, errors_there in published.items() for _ in errors_there]
             found = [error for errors_there in published.values() for error in errors_there]
@@ -200,17 +174,16 @@ def mae_over_n_figure(
         label = axis_label("error on the test set" if is_mae else "", unit)
         panels.append(Panel(name, x, Axis(label, LOG), series, 280, has_legend=is_mae))
     title = "Error of every trial over the number of training simulations"
-    return Figure(title, tuple(panels), columns=2, shows_names=True)
+    caption = "The curves of each training are in MLflow: studies ui."
+    return Figure(title, tuple(panels), columns=2, shows_names=True, caption=caption)
 
 
 def _trials(trials: TrialsRecord, values: FloatArray, *, is_mae: bool) -> list[Series]:
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
-    best, n_failed = (
-        np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae)),
-        trials.state.count("failed"),
-    )
+    n_failed = trials.state.count("failed")
+    best = np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae))
     best = best[np.argsort(trials.n_train[best], kind="stable")]
     name = count(complete.sum(), "complete trial") + (f" ({count(n_failed)} failed)" if n_failed else "")
     series = [

@@ -3,17 +3,18 @@
 import base64
 import gzip
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
 from simulation.arrays import FloatArray
+from simulation.case import Case
 from simulation.whole_file import whole_file
 from studies.blocks import Table
 from studies.report.drawing import Figure
@@ -26,7 +27,6 @@ from studies.report.figures_calibration import (
 )
 from studies.report.figures_model import (
     TrialsRecord,
-    coverage_caption,
     coverage_figure,
     mae_over_n_figure,
     sensitivity_figure,
@@ -48,9 +48,6 @@ from studies.stages.pipeline import Outcome
 from studies.stages.stage_results import Calibration, TunedSize, Uncertainty
 from studies.templates import environment
 
-if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
-    from simulation.case import Case
-
 
 @dataclass(frozen=True)
 class ReportData:
@@ -70,7 +67,7 @@ class ReportData:
     """
 
     label: str
-    case: "Case"
+    case: Case
     calibrations: Calibrations = ()
     coverage: FloatArray | None = None
     sensitivity: SobolIndices | None = None
@@ -117,20 +114,12 @@ def _library() -> str:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture and its caption."""
-
-    figure: Figure
-    caption: str = ""
-
-
-@dataclass(frozen=True)
 class Section:
     """A part of the page; the reader opens folded ones, and one without content is left out."""
 
     anchor: str
     heading: str
-    pictures: tuple[Picture, ...] = ()
+    pictures: tuple[Figure, ...] = ()
     tables: tuple[Table, ...] = ()
     folded: tuple["Section", ...] = ()
     paragraphs: tuple[str, ...] = ()
@@ -144,70 +133,43 @@ class Section:
 def sections_of(data: ReportData) -> list[Section]:
     """Return the parts of the page in their order; what the data does not hold is left out."""
     best, case, sobol = best_of(data.calibrations), data.case, data.sensitivity
-    tuned = tuning_table(data.tuned)
+    tuned, unit = tuning_table(data.tuned), difference_unit(case.outputs[0].unit)
     others = tuple(_calibration(data, one) for one in data.calibrations if one is not best)
     whole = (calibrations_table(case, data.calibrations),) if data.calibrations else ()
     sections = [Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else ())]
     if best is not None:
         sections.append(replace(_calibration(data, best), anchor="calibration", heading="Calibration"))
     sections += [_uncertainty(data, one) for one in data.uncertainties]
+    trials = () if data.trials is None else (mae_over_n_figure(data.trials, unit=unit),)
+    model = () if data.coverage is None else (coverage_figure(case, data.coverage),)
+    model += () if sobol is None else (sensitivity_figure(sobol),)
     indices = () if sobol is None else (sensitivity_table(sobol),)
     return [
         *sections,
         Section("sizes", "All calibrations", (), whole, others),
-        Section("surrogate", "All trials", tuple(_trials(data))),
-        Section("model", "The model and its parameters", tuple(_model(data)), indices),
+        Section("surrogate", "All trials", trials),
+        Section("model", "The model and its parameters", model, indices),
     ]
 
 
 def _calibration(data: ReportData, outcome: Outcome[Calibration]) -> Section:
     """Return a calibration as a part that can be folded."""
     case, found = data.case, outcome.result
-    pictures = [
-        Picture(calibration_figure(case, found)),
-        Picture(calls_figure(case, found), f"The search ended because {found.stop_reason}."),
-    ]
-    tables = [parameters_table(case, found)]
-    if (validated := validation_figure(case, found)) is not None:
-        pictures.append(Picture(validated))
-    if (table := validation_table(case, found)) is not None:
-        tables.append(table)
+    pictures = calibration_figure(case, found), calls_figure(case, found), validation_figure(case, found)
+    tables = parameters_table(case, found), validation_table(case, found)
     mse, calls = quantity(found.mse, square_of(case.outputs[0].unit)), count(found.n_calls_paper, "call")
     said = tuple(f"{one.rstrip('.')}." for one in calibration_sentences(case, found))
     heading = f"{found.shown_name}: final {found.error_name} {mse} in {calls}"
-    return Section(outcome.name, heading, tuple(pictures), tuple(tables), paragraphs=said)
+    shown, tabulated = tuple(filter(None, pictures)), tuple(filter(None, tables))
+    return Section(outcome.name, heading, shown, tabulated, paragraphs=said)
 
 
 def _uncertainty(data: ReportData, found: Uncertainty) -> Section:
     name, case = found.calibration, data.case
-    intervals = "The linearised interval and the calibrated value; too few calls to say more."
-    if found.sample.is_trusted:
-        intervals = "Density and interval of the posterior, linearised interval, and calibrated value."
-    bands = "Dark: the simulations of equally good parameter sets. Light: measured values to be expected."
     return Section(
         f"uncertainty-{name}",
         f"How sure the {name} calibration is",
-        (
-            Picture(band_figure(case, found), bands),
-            Picture(interval_figure(case.parameter_space, found), intervals),
-        ),
+        (band_figure(case, found), interval_figure(case.parameter_space, found)),
         (intervals_table(case.parameter_space, found),),
         paragraphs=tuple(uncertainty_sentences(found, difference_unit(case.outputs[0].unit))),
     )
-
-
-def _trials(data: ReportData) -> Iterator[Picture]:
-    if data.trials is not None and data.trials.state:
-        figure = mae_over_n_figure(data.trials, unit=difference_unit(data.case.outputs[0].unit))
-        yield Picture(figure, "The curves of each training are in MLflow: studies ui.")
-
-
-def _model(data: ReportData) -> Iterator[Picture]:
-    if (y := data.coverage) is not None:
-        yield Picture(coverage_figure(data.case, y), coverage_caption(data.case, y))
-    if (sensitivity := data.sensitivity) is not None:
-        caption = (
-            f"From {count(sensitivity.n_calls, 'simulation')} of the FMU; the six largest are shown. "
-            "What the first orders miss to 1 are interactions."
-        )
-        yield Picture(sensitivity_figure(sensitivity), caption)

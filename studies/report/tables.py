@@ -1,7 +1,6 @@
 """The tables of results, for the terminal and the page alike; every cell is written here."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,7 +38,8 @@ HOW_KNOWN = {
     "unsure": "too few calls",
 }
 Calibrations = tuple[Outcome[Calibration], ...]
-Columns = Sequence[tuple[Column, Callable[[Outcome[Calibration]], str]]]
+Reader = Callable[[Outcome[Calibration]], str]
+Columns = Sequence[tuple[Column, Reader]]
 
 
 def best_of(calibrations: Calibrations) -> Outcome[Calibration] | None:
@@ -112,11 +112,11 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     error = case.measurement.error_name
     with_surrogate: Columns = [
         (number("training set"), lambda one: count(one.result.n_train)),
-        (number("test MAE", unit), partial(_error, name="test/mae")),
-        (number("test P90", unit, 3), partial(_error, name="test/p90")),
-        (number(f"{error} surrogate", mse_unit, 2), partial(_screened, name="mse_surrogate")),
-        (number(f"{error} screened", mse_unit), partial(_screened, name="mse")),
-        (number("gap", mse_unit, 4), partial(_screened, name="gap")),
+        (number("test MAE", unit), _error("test/mae")),
+        (number("test P90", unit, 3), _error("test/p90")),
+        (number(f"{error} surrogate", mse_unit, 2), _screened("mse_surrogate")),
+        (number(f"{error} screened", mse_unit), _screened("mse")),
+        (number("gap", mse_unit, 4), _screened("gap")),
         (number("polish calls"), lambda one: count(one.result.ledger["n_polish"])),
     ]
     has_surrogate = any(not one.result.is_adaptive for one in calibrations)
@@ -126,7 +126,7 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
         (number("calls, paper's count"), lambda one: count(one.result.n_calls_paper)),
         (number("calls, all", spare=1), lambda one: count(one.result.n_calls)),
         *(
-            (number(f"calls to {known.mse:g}"), partial(_calls_to, mse=known.mse))
+            (number(f"calls to {known.mse:g}"), _calls_to(known.mse))
             for known in case.references
             if known.is_target
         ),
@@ -145,18 +145,16 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     return Table(title, [one for one, _ in columns], rows, emphasized=emphasized)
 
 
-def _error(one: Outcome[Calibration], name: str) -> str:
-    errors = {} if one.result.screening is None else one.result.screening.errors
-    return significant(errors.get(name), 2)
+def _error(name: str) -> Reader:
+    return lambda one: significant(getattr(one.result.screening, "errors", {}).get(name), 2)
 
 
-def _screened(one: Outcome[Calibration], name: str) -> str:
-    return significant(getattr(one.result.screening, name, None))
+def _screened(name: str) -> Reader:
+    return lambda one: significant(getattr(one.result.screening, name, None))
 
 
-def _calls_to(one: Outcome[Calibration], mse: float) -> str:
-    calls = one.result.history.calls_to(mse)
-    return MISSING if calls is None else count(calls)
+def _calls_to(mse: float) -> Reader:
+    return lambda one: cell_text(one.result.history.calls_to(mse))
 
 
 def parameters_table(case: "Case", found: Calibration) -> Table:

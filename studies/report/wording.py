@@ -28,11 +28,11 @@ def significant(value: float | None, digits: int = 3) -> str:
     return f"{value:,.{decimals}f}"
 
 
-def setting(value: Any, digits: int = 3) -> str:
+def setting(value: Any) -> str:
     """Write a setting such as a hyperparameter; of a fraction without the zeros that say nothing."""
     if not isinstance(value, float):
         return MISSING if value is None else str(value)
-    text = significant(value, digits)
+    text = significant(value)
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 

@@ -30,7 +30,6 @@ from studies.report.figures_calibration import (
     validation_figure,
 )
 from studies.report.figures_model import (
-    coverage_caption,
     coverage_figure,
     mae_over_n_figure,
     sensitivity_figure,
@@ -156,7 +155,7 @@ def test_no_line_spans_a_gap(tmp_path: Path) -> None:
     assert np.isnan(values(coverage_figure(uneven, y), "measured")).any()
     _, broken = with_gaps(np.array([0.0, 1.0, 2.0, 6.0, 7.0]), np.arange(5.0))
     assert np.isnan(broken).tolist() == [False, False, False, True, False, False]
-    assert " % of the measured values lie between" in coverage_caption(uneven, y)
+    assert " % of the measured values lie between" in coverage_figure(uneven, y).caption
 
 
 def with_gap(whole: Case) -> Case:
