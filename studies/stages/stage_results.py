@@ -374,6 +374,11 @@ class Screened:
     errors: dict[str, float] = field(default_factory=dict)
     weights_sha256: str = ""
 
+    @property
+    def gap(self) -> float:
+        """Error by the physical model minus that by the surrogate. [first output's unit squared]."""
+        return self.mse - self.mse_surrogate
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:

@@ -38,7 +38,7 @@ def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
         metrics |= {
             "mse/surrogate": screened.mse_surrogate,
             "mse/screened": screened.mse,
-            "mse/screening_gap": screened.mse - screened.mse_surrogate,
+            "mse/screening_gap": screened.gap,
             "calls/polish": found.ledger["n_polish"],
             **screened.errors,
         }
