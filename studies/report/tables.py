@@ -23,7 +23,7 @@ from studies.report.wording import (
 )
 from studies.sobol import SobolIndices, mean_over_time
 from studies.stages.pipeline import Outcome
-from studies.stages.stage_results import Calibration, TunedSize, Uncertainty
+from studies.stages.stage_results import Calibration, Screened, TunedSize, Uncertainty
 
 if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
     from simulation.case import Case
@@ -112,11 +112,11 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     error = case.measurement.error_name
     with_surrogate: Columns = [
         (number("training set"), lambda one: count(one.result.n_train)),
-        (number("test MAE", unit), _error("test/mae")),
-        (number("test P90", unit, 3), _error("test/p90")),
-        (number(f"{error} surrogate", mse_unit, 2), _screened("mse_surrogate")),
-        (number(f"{error} screened", mse_unit), _screened("mse")),
-        (number("gap", mse_unit, 4), _screened("gap")),
+        (number("test MAE", unit), _screened(lambda found: found.errors.get("test/mae"), 2)),
+        (number("test P90", unit, 3), _screened(lambda found: found.errors.get("test/p90"), 2)),
+        (number(f"{error} surrogate", mse_unit, 2), _screened(lambda found: found.mse_surrogate)),
+        (number(f"{error} screened", mse_unit), _screened(lambda found: found.mse)),
+        (number("gap", mse_unit, 4), _screened(lambda found: found.gap)),
         (number("polish calls"), lambda one: count(one.result.ledger["n_polish"])),
     ]
     has_surrogate = any(not one.result.is_adaptive for one in calibrations)
@@ -145,12 +145,13 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     return Table(title, [one for one, _ in columns], rows, emphasized=emphasized)
 
 
-def _error(name: str) -> Reader:
-    return lambda one: significant(getattr(one.result.screening, "errors", {}).get(name), 2)
+def _screened(read: Callable[[Screened], float | None], digits: int = 3) -> Reader:
+    """Return what reads the screening of a calibration; an adaptive one has none."""
 
+    def text(one: Outcome[Calibration]) -> str:
+        return MISSING if one.result.screening is None else significant(read(one.result.screening), digits)
 
-def _screened(name: str) -> Reader:
-    return lambda one: significant(getattr(one.result.screening, name, None))
+    return text
 
 
 def _calls_to(mse: float) -> Reader:
