@@ -10,7 +10,7 @@ from pymoca import ast, parser
 from pymoca.backends.casadi import generator
 from pymoca.tree import flatten
 
-from fmus.compiler.events import EventNames, has_when, take_out_events
+from fmus.compiler.events import EventNames, take_out_events
 from fmus.compiler.settings import CompileError
 
 # CasADi 3.8 dropped the Python 2 name of the division that pymoca 0.12 asks for.
@@ -93,12 +93,17 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
         CompileError: If the source does not parse, or leaves the subset that is understood.
     """
     try:
-        tree = _flatten(sources, class_name)
+        parsed, *others = [parser.parse(path.read_text(encoding="utf-8")) for path in sources]
+        for other in others:
+            parsed.extend(other)
+        tree = flatten(parsed, ast.ComponentRef.from_string(class_name))
         flat_class = tree.classes[class_name]
         # What pymoca's CasADi model leaves out: units and descriptions.
         symbols, description = dict(flat_class.symbols), str(flat_class.comment or "")
-        events = take_out_events(flat_class) if with_events else EventNames()
-        if not with_events and has_when(flat_class):
+        events = EventNames()
+        if with_events:
+            events = take_out_events(flat_class)
+        elif any(isinstance(equation, ast.WhenEquation) for equation in flat_class.equations):
             raise CompileError(f"{class_name}: has a when; write events = true into the build file")
         # What pymoca's `generate` does after flattening.
         options: Any = generator._merge_default_options(None)  # more than the type it declares
@@ -112,13 +117,6 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
             f"{class_name}: pymoca cannot read it ({type(error).__name__}: {said}); keep to its subset"
         ) from error
     return _resolve(writer.model, class_name, symbols, description, events)
-
-
-def _flatten(sources: list[Path], class_name: str) -> Any:
-    tree, *others = [parser.parse(path.read_text(encoding="utf-8")) for path in sources]
-    for other in others:
-        tree.extend(other)
-    return flatten(tree, ast.ComponentRef.from_string(class_name))
 
 
 def _resolve(
