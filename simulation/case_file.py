@@ -211,19 +211,29 @@ class OutputTable(Table):
     accepted: Pair | None = None
 
     @model_validator(mode="after")
-    def _accepts_something(self) -> Self:
+    def _agrees_with_itself(self) -> Self:
         if self.accepted is not None and not self.accepted[0] < self.accepted[1]:
             low, high = self.accepted
             raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
-        return self
-
-    @model_validator(mode="after")
-    def _has_a_target(self) -> Self:
         missing = [key for key in ("file", "column") if getattr(self, key) is None]
         if len(missing) == 1:
             raise ValueError(f"key {missing[0]} is missing; add it")
-        if not missing:
-            return self
+        if missing:
+            self._check_limits_alone()
+        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
+            raise ValueError(
+                f"at_least = {self.at_least:g} is not below at_most = {self.at_most:g}; correct one of them"
+            )
+        if self.correlation_time_s is not None and self.error_lasts_s is not None:
+            raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
+        if self.correlation_time_s is not None and self.loss != "squares":
+            raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
+        if self.loss_scale is not None and self.loss == "squares":
+            raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
+        return self
+
+    def _check_limits_alone(self) -> None:
+        """Check an output that is not measured."""
         if not self.has_limits:
             raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
         for key in ("error_lasts_s", "correlation_time_s"):
@@ -233,31 +243,6 @@ class OutputTable(Table):
             raise ValueError(
                 f'normalize = "{self.normalize}" is of measured values, and there are none; write a number'
             )
-        return self
-
-    @model_validator(mode="after")
-    def _limits_leave_something(self) -> Self:
-        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
-            raise ValueError(
-                f"at_least = {self.at_least:g} is not below at_most = {self.at_most:g}; correct one of them"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _correlation_stands_alone(self) -> Self:
-        if self.correlation_time_s is None:
-            return self
-        if self.error_lasts_s is not None:
-            raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
-        if self.loss != "squares":
-            raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
-        return self
-
-    @model_validator(mode="after")
-    def _scale_has_a_loss(self) -> Self:
-        if self.loss_scale is not None and self.loss == "squares":
-            raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
-        return self
 
     @property
     def source(self) -> tuple[str, str] | None:
@@ -492,10 +477,9 @@ class CaseFile(Table):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         zone_named(self.timezone)
-        inputs = Counter(f"inputs[{table.name}]" for table in self.inputs)
-        outputs = Counter(f"outputs[{table.name}]" for table in self.outputs)
-        parameters = Counter(f"parameters[{table.name}]" for table in self.parameters)
-        for key, n in (inputs | outputs | parameters).items():
+        tables = {"inputs": self.inputs, "outputs": self.outputs, "parameters": self.parameters}
+        declared = Counter(f"{key}[{table.name}]" for key in tables for table in tables[key])
+        for key, n in declared.items():
             if n > 1:
                 raise ValueError(f"{key} is declared {n} times; keep one")
         if not any(one.source for one in self.outputs):
@@ -506,10 +490,10 @@ class CaseFile(Table):
                 f"outputs[{plain[0]}] has no normalize and others have; give it to all of them, or to none"
             )
         for name in self.fixed:
-            if f"parameters[{name}]" in parameters:
+            if f"parameters[{name}]" in declared:
                 raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")
         for name in self.tied:
-            if name in self.fixed or f"parameters[{name}]" in parameters:
+            if name in self.fixed or f"parameters[{name}]" in declared:
                 also = "[fixed]" if name in self.fixed else "[[parameters]]"
                 raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self
