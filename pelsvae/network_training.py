@@ -14,7 +14,6 @@ from pelsvae.loss import LossTerms, objective
 from pelsvae.network import PelsVae
 
 _Step = Callable[[Tensor, float], LossTerms]
-_TERMS = ("kl", "reconstruction", "regression_mean", "regression_scale")  # as in loss.LossTerms
 # One-cycle schedule of Smith and Topin 2019, arXiv:1708.07120.
 _WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
 _START = 0.04  # of the peak learning rate, where one-cycle begins
@@ -101,7 +100,8 @@ def train_network(
             best_mae, best_epoch = mae, epoch
             best = [weight.detach().clone() for weight in weights]
         if on_epoch is not None:
-            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, dict(zip(_TERMS, parts, strict=True))))
+            terms_by_name = dict(zip(LossTerms._fields[1:], parts, strict=True))
+            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, terms_by_name))
         if epoch - best_epoch >= config.patience:
             break
     with torch.no_grad():

@@ -327,11 +327,8 @@ class ParameterTable(Table):
         belief = None
         if self.prior is not None:
             # One of each is there, which was seen to.
-            centre = next(value for value in (self.prior.about, self.estimate) if value is not None)
-            width = next(
-                value for value in (self.prior.within, self.prior.within_factor) if value is not None
-            )
-            belief = Belief(centre, width)
+            centre = self.estimate if self.prior.about is None else self.prior.about
+            belief = Belief(centre or 0.0, self.prior.within or self.prior.within_factor or 0.0)
         return Parameter(**self.model_dump(exclude={"prior", "per_experiment"}), prior=belief)
 
 
@@ -417,10 +414,10 @@ class ExperimentTable(Table):
     fmu: Name | None = None
     interface: Literal["co-simulation", "model-exchange"] | None = None
     data: Line | None = None
-    time: dict[str, Any] = Field(default_factory=dict)
-    inputs: list[dict[str, Any]] = Field(default_factory=list)
-    outputs: list[dict[str, Any]] = Field(default_factory=list)
-    fixed: dict[str, FixedValue] = Field(default_factory=dict)
+    time: dict[str, Any] = {}
+    inputs: list[dict[str, Any]] = []
+    outputs: list[dict[str, Any]] = []
+    fixed: dict[str, FixedValue] = {}
 
 
 class CaseFile(Table):
@@ -464,15 +461,15 @@ class CaseFile(Table):
     time_column: Name | None = None
     timezone: Name | None = None
     time: TimeTable
-    inputs: list[InputTable] = Field(default_factory=list)
+    inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
-    fixed: dict[str, FixedValue] = Field(default_factory=dict)
-    tied: dict[str, Line] = Field(default_factory=dict)
-    constraints: list[Line] = Field(default_factory=list)
+    fixed: dict[str, FixedValue] = {}
+    tied: dict[str, Line] = {}
+    constraints: list[Line] = []
     simulation: SimulationTable = SimulationTable()
-    references: list[ReferenceTable] = Field(default_factory=list)
-    experiments: list[ExperimentTable] = Field(default_factory=list)
+    references: list[ReferenceTable] = []
+    experiments: list[ExperimentTable] = []
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:

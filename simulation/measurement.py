@@ -176,7 +176,7 @@ class Measurement:
         By uncertainty and weight alone, for errors on the output grid; 1 for a single output.
         """
         share = self.weights / np.mean(self.weights)
-        return np.asarray(self.uncertainty[0] / self.uncertainty * share, dtype=np.float64)
+        return self.uncertainty[0] / self.uncertainty * share
 
     def differences(self, y: FloatArray, output: int) -> FloatArray:
         """Return simulated minus measured at the samples of one output.
@@ -191,7 +191,7 @@ class Measurement:
         simulated, limits = self._places[output].of(y[:, :, output]), self.limits_of(output)
         if limits is not None and limits.is_alone:
             return limits.excess(simulated)
-        return np.asarray(simulated - self.samples[output].values)
+        return simulated - self.samples[output].values
 
     def limits_of(self, output: int) -> Limits | None:
         """Return the limits of an output, None for none."""
@@ -313,14 +313,14 @@ class Measurement:
     def output_of(self) -> IntArray:
         """Output that each residual is of, those of limits as well. Shape (n_samples,)."""
         targets = np.array([*range(len(self.samples)), *self._limits_beside], dtype=np.int64)
-        return np.asarray(targets[self._by_target[self._order]])
+        return targets[self._by_target[self._order]]
 
     @property
     def is_of_limits(self) -> BoolArray:
         """Which residuals are of limits, not of a measurement. Shape (n_samples,)."""
         outputs = [k not in self.measured for k in range(len(self.samples))]
         targets = np.array([*outputs, *(True for _ in self._limits_beside)], dtype=np.bool_)
-        return np.asarray(targets[self._by_target[self._order]])
+        return targets[self._by_target[self._order]]
 
     @cached_property
     def _limits_beside(self) -> dict[int, Limits]:

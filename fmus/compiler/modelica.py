@@ -99,7 +99,7 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
         tree = flatten(parsed, ast.ComponentRef.from_string(class_name))
         flat_class = tree.classes[class_name]
         # What pymoca's CasADi model leaves out: units and descriptions.
-        symbols, description = dict(flat_class.symbols), str(flat_class.comment or "")
+        symbols, description = dict(flat_class.symbols), flat_class.comment or ""
         events = EventNames()
         if with_events:
             events = take_out_events(flat_class)
@@ -136,16 +136,15 @@ def _resolve(
 
     def convert(expressions: list[Any]) -> list[Any]:
         function = ca.Function("convert", mx, [ca.densify(ca.MX(e)) for e in expressions])
-        result = function.call(sx)
-        return list(result)
+        return list(function.call(sx))
 
     values = convert([v.value for v in known])
-    bound = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if not x.is_constant()}
-    numbers = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if x.is_constant()}
+    values_of = {v.symbol.name(): x for v, x in zip(known, values, strict=True)}
+    numbers = {name: x for name, x in values_of.items() if x.is_constant()}
     # A number that a component was built with is part of the model; parameters are those of the model itself.
     free = {v.symbol.name() for v in raw.parameters if "." not in v.symbol.name()} & numbers.keys()
-    constants = {name: number for name, number in numbers.items() if name not in free}
-    replaced = _close({**constants, **bound}, by_name, class_name)
+    rest = {name: x for name, x in values_of.items() if name not in free}
+    replaced = _close(rest, by_name, class_name)
     old = [by_name[name] for name in replaced]
     new = list(replaced.values())
 
