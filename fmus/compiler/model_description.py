@@ -48,7 +48,9 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         "variableNamingConvention": "structured",
         **({} if is_fmi3 else {"numberOfEventIndicators": len(ode.truths)}),
     }
-    variables, dependencies, time = _variables(ode), _dependencies(ode), _time_reference(ode)
+    variables = _variables(ode)
+    time = len(variables) + len(ode.truths)
+    dependencies = _dependencies(ode, time)
     if is_fmi3:
         # FMI 2.0 refers to a state by its place in the list, FMI 3.0 by its value reference.
         for _, real in variables:
@@ -68,11 +70,6 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         dependencies=dependencies,
         time=time,
     )
-
-
-def _time_reference(ode: Ode) -> int:
-    n_rest = len(ode.inputs) + len(ode.parameters) + len(ode.outputs) + len(ode.discrete)
-    return 2 * len(ode.states) + n_rest + len(ode.truths)
 
 
 def _variables(ode: Ode) -> list[Attributes]:
@@ -118,12 +115,12 @@ def _scalar(variable: Variable, **attributes: str) -> Attributes:
     return {"name": variable.name, **description, **attributes}, real
 
 
-def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
+def _dependencies(ode: Ode, time_reference: int) -> dict[str, list[tuple[int, list[int]]]]:
     """Return what each unknown depends on, both by value reference.
 
     Derivatives and outputs depend on states and inputs, initial values on inputs and parameters, all on time.
     """
-    references, time = count(), (_time_reference(ode), ode.time)
+    references, time = count(), (time_reference, ode.time)
     # Value references count through these, in the order of `_variables`.
     states, derivatives, inputs, parameters, outputs = (
         [(next(references), symbols[i]) for i in range(symbols.numel())]
