@@ -80,14 +80,15 @@ def train_network(
         if size < n:
             order = torch.randperm(n, generator=generator).to(x.device)
         sums = torch.zeros(5, device=x.device)
+        is_reported = epoch % config.validate_every == 0 or epoch == config.max_epochs
         for start in starts:
             rows = order[start : start + size]
             terms = learn(rows, _learning_rate(config, n_done / n_steps))
             n_done += 1
-            if epoch % config.validate_every == 0 or epoch == config.max_epochs:
+            if is_reported:
                 # Weighted, as the last batch may be smaller; only in epochs that are reported.
                 sums += torch.stack(terms).detach() * (len(rows) / n)
-        if epoch % config.validate_every and epoch != config.max_epochs:
+        if not is_reported:
             continue
         mae = validation_error()
         loss, *parts = sums.tolist()

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from simulation.fmi.variable import Interface
 from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter, Scale
 from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
@@ -30,6 +31,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Line = Annotated[str, AfterValidator(_without_control)]
 Name = Annotated[Line, Field(min_length=1)]
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
 # TOML arrays arrive as lists; strict mode would take no list for a tuple.
 Pair = Annotated[tuple[Finite, Finite], Field(strict=False)]
 # A float where it is larger than any integer of an FMU.
@@ -408,11 +410,11 @@ class ExperimentTable(Table):
         fixed: values of [fixed] that differ.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+    name: Label
     held_out: bool = False
     weight: Positive = 1.0
     fmu: Name | None = None
-    interface: Literal["co-simulation", "model-exchange"] | None = None
+    interface: Interface | None = None
     data: Line | None = None
     time: dict[str, Any] = {}
     inputs: list[dict[str, Any]] = []
@@ -450,11 +452,11 @@ class CaseFile(Table):
 
     # Later schemas must say so, else an old program would read a new file wrongly.
     schema_version: Annotated[Literal[1], Field(alias="schema")]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+    name: Label
     title: str = ""
     note: str = ""
     fmu: Name
-    interface: Literal["co-simulation", "model-exchange"] = "co-simulation"
+    interface: Interface = "co-simulation"
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
     data: Line = "."
     data_origin: str = ""

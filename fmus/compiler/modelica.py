@@ -171,10 +171,10 @@ def _resolve(
     for state in raw.states:
         if not bool(float(ca.MX(state.fixed).to_DM() if isinstance(state.fixed, ca.MX) else state.fixed)):
             raise CompileError(f"{class_name}: the state {state.symbol.name()} needs start and fixed=true")
-    discrete = [v for v in raw.inputs if v.symbol.name() in events.discrete]
     held = {*events.discrete, *events.truths}
-    with_start = [*raw.states, *discrete]
+    with_start = [*raw.states, *(v for v in raw.inputs if v.symbol.name() in events.discrete)]
     starts = substitute(convert([v.start for v in with_start])) if with_start else []
+    made = [make(v, start) for v, start in zip(with_start, starts, strict=True)]
     n_states = len(raw.states)
     checks = tuple(
         Check(name, replaced[name], str(symbols[name].unit.value or ""), limit(v.min), limit(v.max))
@@ -190,7 +190,7 @@ def _resolve(
         name=class_name,
         description=description,
         time=by_name[raw.time.name()],
-        states=tuple(make(v, start) for v, start in zip(raw.states, starts[:n_states], strict=True)),
+        states=tuple(made[:n_states]),
         derivatives=tuple(by_name[v.symbol.name()] for v in raw.der_states),
         algebraics=tuple(make(v, None) for v in raw.alg_states),
         inputs=tuple(make(v, limit(v.start)) for v in raw.inputs if v.symbol.name() not in held),
@@ -200,7 +200,7 @@ def _resolve(
         output_names=tuple(raw.outputs),
         residual=substitute([ca.vertcat(*convert(raw.equations))])[0],
         checks=tuple(check for check in checks if not check.expression.is_constant()),
-        discrete=tuple(make(v, start) for v, start in zip(discrete, starts[n_states:], strict=True)),
+        discrete=tuple(made[n_states:]),
         truths=tuple(by_name[name] for name in events.truths),
         events=events,
     )
