@@ -318,9 +318,8 @@ class Measurement:
     @property
     def is_of_limits(self) -> BoolArray:
         """Which residuals are of limits, not of a measurement. Shape (n_samples,)."""
-        outputs = [k not in self.measured for k in range(len(self.samples))]
-        targets = np.array([*outputs, *(True for _ in self._limits_beside)], dtype=np.bool_)
-        return targets[self._by_target[self._order]]
+        # Targets after the outputs are limits beside a measurement.
+        return ~np.isin(self._by_target[self._order], self.measured)
 
     @cached_property
     def _limits_beside(self) -> dict[int, Limits]:

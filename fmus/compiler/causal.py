@@ -1,5 +1,6 @@
 """Solve flat model equations for the derivatives and outputs, block by block."""
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -190,10 +191,10 @@ def _vanishes(expression: Any) -> bool:
 
 def _pivot(matrix: list[list[Any]], rows: list[int], columns: list[int]) -> tuple[int, int] | None:
     there = [(i, j) for i in rows for j in columns if not _vanishes(matrix[i][j])]
+    in_rows, in_columns = Counter(i for i, _ in there), Counter(j for _, j in there)
 
     def cost(place: tuple[int, int]) -> tuple[int, float, int]:
-        entry = matrix[place[0]][place[1]]
-        fill = sum(i == place[0] for i, _ in there) * sum(j == place[1] for _, j in there)
+        entry, fill = matrix[place[0]][place[1]], in_rows[place[0]] * in_columns[place[1]]
         return (0, -abs(float(entry)), fill) if entry.is_constant() else (1, 0.0, fill)
 
     return min(there, key=cost, default=None)
