@@ -150,8 +150,7 @@ class Kernel:
         points = self.near(hyper, near)
         # A generator: one matrix exists beside the sum, not one per scale.
         of_scales = ((points @ rows).exp2_() for rows in self.far(hyper, far))
-        total: Tensor = functools.reduce(torch.add, of_scales)
-        return total
+        return functools.reduce(torch.add, of_scales)
 
     def products(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return <w, w'>_1 of warped features: (h,), (n, f), (m, f) -> (n, m)."""

@@ -84,22 +84,14 @@ class LinearVae(nn.Module):
         """The one draw of Eq. 7 that a linear decoder needs, (1, z): all draws together have mean 0."""
         return self.basis.new_zeros(1, len(self.basis))
 
-    def decoder(self, z: Tensor) -> Tensor:
-        """Eq. 7: z (b, z) -> x (b, d)."""
-        return z @ self.basis
-
-    def regressor_mean(self, theta: Tensor) -> Tensor:
-        """Mean of varphi(theta), Eq. 6: theta (b, f) -> (b, z)."""
-        total = theta.new_zeros(1, len(self.basis))
-        for member in self._members():
-            # A product with zeros, not `index_add`: torch 2.13 exports that to ONNX as another sum.
-            total = total + self._member_mean(member, theta) @ member.share
-        return total
-
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
         """Eq. 6-7, without x: theta (b, f) -> x (b, d); draws cancel where decoding is linear."""
         del eps
-        return self.decoder(self.regressor_mean(theta))
+        z = theta.new_zeros(1, len(self.basis))  # (b, z) with the first member: the mean of varphi(theta)
+        for member in self._members():
+            # A product with zeros, not `index_add`: torch 2.13 exports that to ONNX as another sum.
+            z = z + self._member_mean(member, theta) @ member.share
+        return z @ self.basis
 
     def _member_mean(self, member: _Member, theta: Tensor) -> Tensor:
         """Return a member's mean in its codes: theta (b, f) -> (b, c)."""

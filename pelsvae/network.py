@@ -21,7 +21,12 @@ class PelsVae(nn.Module):
 
     Shapes: b rows, f features of theta, d outputs (times x outputs), z latent, h hidden, L samples.
     A Gaussian in latent space is always a pair (mean, log-variance), each (b, z).
+
+    Attributes:
+        rows_at_once: Rows whose prediction fits near a core.
     """
+
+    rows_at_once = 128  # 8 samples of 128 rows at h = 256 are 1 MiB: they stay in a core's cache
 
     def __init__(
         self, n_features: int, n_outputs: int, config: SurrogateConfig, generator: torch.Generator

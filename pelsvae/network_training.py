@@ -14,7 +14,6 @@ from pelsvae.loss import LossTerms, objective
 from pelsvae.network import PelsVae
 
 _Step = Callable[[Tensor, float], LossTerms]
-_TERMS = ("kl", "reconstruction", "regression_mean", "regression_scale")  # as in loss.LossTerms
 # One-cycle schedule of Smith and Topin 2019, arXiv:1708.07120.
 _WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
 _START = 0.04  # of the peak learning rate, where one-cycle begins
@@ -81,14 +80,15 @@ def train_network(
         if size < n:
             order = torch.randperm(n, generator=generator).to(x.device)
         sums = torch.zeros(5, device=x.device)
+        is_reported = epoch % config.validate_every == 0 or epoch == config.max_epochs
         for start in starts:
             rows = order[start : start + size]
             terms = learn(rows, _learning_rate(config, n_done / n_steps))
             n_done += 1
-            if epoch % config.validate_every == 0 or epoch == config.max_epochs:
+            if is_reported:
                 # Weighted, as the last batch may be smaller; only in epochs that are reported.
                 sums += torch.stack(terms).detach() * (len(rows) / n)
-        if epoch % config.validate_every and epoch != config.max_epochs:
+        if not is_reported:
             continue
         mae = validation_error()
         loss, *parts = sums.tolist()
@@ -101,7 +101,8 @@ def train_network(
             best_mae, best_epoch = mae, epoch
             best = [weight.detach().clone() for weight in weights]
         if on_epoch is not None:
-            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, dict(zip(_TERMS, parts, strict=True))))
+            terms_by_name = dict(zip(LossTerms._fields[1:], parts, strict=True))
+            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, terms_by_name))
         if epoch - best_epoch >= config.patience:
             break
     with torch.no_grad():

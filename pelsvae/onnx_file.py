@@ -56,8 +56,7 @@ def onnx_bytes(surrogate: Surrogate, *, metadata: Mapping[str, str]) -> bytes:
     for node in program.model.graph:
         node.metadata_props.clear()  # lines of source code and the places of their files
     program.model.metadata_props.update(metadata)
-    content: bytes = program.model_proto.SerializeToString()
-    return content
+    return program.model_proto.SerializeToString()
 
 
 class _Physical(nn.Module):

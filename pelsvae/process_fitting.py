@@ -179,8 +179,7 @@ def _principal_components(x: Tensor, n_latent: int) -> Tensor:
     explained = singular.square().cumsum(dim=0)
     needed = int((explained < (1.0 - _LEFT_OUT) * explained[-1]).sum()) + 1
     # A copy, as a view would hold all components in memory.
-    basis: Tensor = components[: min(needed, n_latent)].clone()
-    return basis
+    return components[: min(needed, n_latent)].clone()
 
 
 def _assembled(rows: _Rows, basis: Tensor, hypers: Array, shares: Array) -> LinearVae:

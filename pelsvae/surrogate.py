@@ -14,7 +14,6 @@ from pelsvae.linear_vae import LinearVae
 from pelsvae.network import PelsVae
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 
-_CHUNK_ROWS = 128  # 8 samples of 128 rows at h = 256 are 1 MiB: they stay in a core's cache
 _CHUNK_ROWS_CUDA = 4096  # fewer and larger launches of kernels
 
 
@@ -49,9 +48,8 @@ class Surrogate:
         Raises:
             ValueError: The shape is wrong, or a parameter that enters by its logarithm is not positive.
         """
-        features = self._features(self._checked(theta))  # (n, f)
-        size = self.network.rows_at_once if isinstance(self.network, LinearVae) else _CHUNK_ROWS
-        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else size
+        features = self.theta_standardizer.features(self._checked(theta), self.eps.dtype)  # (n, f)
+        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else self.network.rows_at_once
         y = np.empty((len(features), *self.output_standardizer.mean.shape))
 
         def predict_from(start: int) -> None:
@@ -65,10 +63,6 @@ class Surrogate:
         with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
             list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(predict_from, starts))
         return y
-
-    def _features(self, theta: Tensor) -> Tensor:
-        """Map theta (n, p), float64 -> features (n, f) in the network's precision."""
-        return self.theta_standardizer.features(theta, self.eps.dtype)
 
     def _checked(self, theta: npt.ArrayLike) -> Tensor:
         """Return theta (n, p) where the network is, in float64; ValueError for a wrong shape or value."""

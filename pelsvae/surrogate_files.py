@@ -81,7 +81,9 @@ def load_surrogate(folder: Path, device: Device = "auto") -> Surrogate:
             f"{folder / WEIGHTS} is damaged or not the one that {DESCRIPTION} names; train or copy both again"
         )
     try:
-        arrays = _read_arrays(content)
+        # Object arrays are refused.
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
         return _assembled(config, arrays, resolve_device(device))
     except (KeyError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{folder / WEIGHTS} does not fit {DESCRIPTION}: {error}") from error
@@ -93,12 +95,6 @@ def _read_description(path: Path) -> tuple[SurrogateConfig, str]:
     if read["format"] != _FORMAT:
         raise ValueError(f"format {read['format']!r}, this version reads {_FORMAT}")
     return SurrogateConfig.from_dict(read["config"]), str(read["weights_sha256"])
-
-
-def _read_arrays(content: bytes) -> dict[str, npt.NDArray[Any]]:
-    """Return all arrays by name; object arrays are refused."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
 
 
 def _assembled(

@@ -163,11 +163,7 @@ class Case:
             steps_s = (case.communication_step_s, case.output_step_s)
             return _json(case._named | {"fixed": sorted(case.fixed), "steps_s": steps_s})
 
-        bounds = (self.parameter_space.parameters, self.parameter_space.constraints)
-        return kind(self) == kind(other) and bounds == (
-            other.parameter_space.parameters,
-            other.parameter_space.constraints,
-        )
+        return kind(self) == kind(other) and self.parameter_space == other.parameter_space
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -186,17 +182,21 @@ class Case:
 
     def _joined(self, digest: str) -> str:
         """Return what decides the answers of all experiments."""
-        assert self.layout is not None, "asked of a case with experiments"
-        parts = zip(self.layout.experiments, self.experiments, strict=True)
         return _json(
             {
-                "parameters": self.layout.parameter_names,
+                "parameters": self.parameter_space.names,
                 "constraints": self.parameter_space.constraints,
                 "experiments": [
-                    (one.name, one.parameters.tolist(), getattr(case, digest)) for one, case in parts
+                    (one.name, one.parameters.tolist(), getattr(case, digest)) for one, case in self.members
                 ],
             }
         )
+
+    @property
+    def members(self) -> tuple[tuple[Experiment, "Case"], ...]:
+        """The experiments that this case joins, each with its own case; none of a single one."""
+        experiments = () if self.layout is None else self.layout.experiments
+        return tuple(zip(experiments, self.experiments, strict=True))
 
     @property
     def experiment_rows(self) -> ExperimentRows:
@@ -260,8 +260,7 @@ def load_case(
 def named_experiments(case: Case) -> Iterator[tuple[str, Case]]:
     """Yield name and case of each experiment, those that are held out as well; none of a single one."""
     for joined in filter(None, (case, case.validation)):
-        if joined.layout is not None:
-            yield from zip((one.name for one in joined.layout.experiments), joined.experiments, strict=True)
+        yield from ((one.name, member) for one, member in joined.members)
 
 
 def of_experiment(case: Case, name: str | None, *, needed_for: str) -> tuple[Case, IntArray]:
@@ -275,16 +274,14 @@ def of_experiment(case: Case, name: str | None, *, needed_for: str) -> tuple[Cas
     Raises:
         InputError: If the name is missing, or of no experiment.
     """
-    joined = [one for one in (case, case.validation) if one is not None and one.layout is not None]
-    if not joined:
+    joined = filter(None, (case, case.validation))
+    known: dict[str | None, tuple[Case, IntArray]] = {
+        part.name: (member, part.parameters) for one in joined for part, member in one.members
+    }
+    if not known:
         if name is not None:
             raise InputError(f"--experiment {name}: {case.path} has no [[experiments]]; leave it away")
         return case, np.arange(case.parameter_space.n_parameters)
-    known = dict[str | None, tuple[Case, IntArray]]()
-    for one in joined:
-        assert one.layout is not None, "of those with one"
-        parts = zip(one.layout.experiments, one.experiments, strict=True)
-        known |= {part.name: (member, part.parameters) for part, member in parts}
     if name not in known:
         wrong = (
             f"--experiment {name}: no experiment of {case.path}"

@@ -1,6 +1,7 @@
 """The recordings of a case on one time axis: what is measured when, and what drives the model when."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,32 +122,33 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
     Raises:
         InputError: If one cannot be read.
     """
-    columns: dict[str, list[str]] = {}
-    for name, column in filter(None, (output.source for output in file.outputs)):
-        columns.setdefault(name, []).append(column)
-    for source in file.inputs:
-        columns.setdefault(source.file, []).extend(source.weights)
-    places = {name: Path(os.path.realpath(path.parent / file.data / name)) for name in columns}
-    return read_columns(file, columns, places, if_missing=file.data_origin)
+    folder = path.parent / file.data
+    measured = list(filter(None, (output.source for output in file.outputs)))
+    return read_columns(file, measured, lambda name: Path(os.path.realpath(folder / name)), file.data_origin)
 
 
 def read_columns(
-    file: CaseFile, columns: dict[str, list[str]], places: dict[str, Path], *, if_missing: str = ""
+    file: CaseFile, measured: list[tuple[str, str]], place_of: Callable[[str], Path], if_missing: str = ""
 ) -> dict[str, Recording]:
-    """Read columns of recordings, as a case says how their times are written.
+    """Read the recordings of a case's inputs and others, as it says how their times are written.
 
     Args:
         file: The case file's content.
-        columns: Columns in use of each recording, by its name in the case file.
-        places: Where it lies, by the same name.
+        measured: Recording and column of what else is read, by their names in the case file.
+        place_of: Where a recording of some name lies.
         if_missing: What to do where there is no such file; "" for the general advice.
 
     Raises:
         InputError: If one cannot be read.
     """
+    columns: dict[str, list[str]] = {}
+    for name, column in measured:
+        columns.setdefault(name, []).append(column)
+    for source in file.inputs:
+        columns.setdefault(source.file, []).extend(source.weights)
     return {
         name: read_recording(
-            places[name],
+            place_of(name),
             list(dict.fromkeys(wanted)),
             time_column=file.time_column,
             timezone=file.timezone,

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from simulation.fmi.variable import Interface
 from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter, Scale
 from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
@@ -30,6 +31,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Line = Annotated[str, AfterValidator(_without_control)]
 Name = Annotated[Line, Field(min_length=1)]
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
 # TOML arrays arrive as lists; strict mode would take no list for a tuple.
 Pair = Annotated[tuple[Finite, Finite], Field(strict=False)]
 # A float where it is larger than any integer of an FMU.
@@ -211,19 +213,29 @@ class OutputTable(Table):
     accepted: Pair | None = None
 
     @model_validator(mode="after")
-    def _accepts_something(self) -> Self:
+    def _agrees_with_itself(self) -> Self:
         if self.accepted is not None and not self.accepted[0] < self.accepted[1]:
             low, high = self.accepted
             raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
-        return self
-
-    @model_validator(mode="after")
-    def _has_a_target(self) -> Self:
         missing = [key for key in ("file", "column") if getattr(self, key) is None]
         if len(missing) == 1:
             raise ValueError(f"key {missing[0]} is missing; add it")
-        if not missing:
-            return self
+        if missing:
+            self._check_limits_alone()
+        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
+            raise ValueError(
+                f"at_least = {self.at_least:g} is not below at_most = {self.at_most:g}; correct one of them"
+            )
+        if self.correlation_time_s is not None and self.error_lasts_s is not None:
+            raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
+        if self.correlation_time_s is not None and self.loss != "squares":
+            raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
+        if self.loss_scale is not None and self.loss == "squares":
+            raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
+        return self
+
+    def _check_limits_alone(self) -> None:
+        """Check an output that is not measured."""
         if not self.has_limits:
             raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
         for key in ("error_lasts_s", "correlation_time_s"):
@@ -233,31 +245,6 @@ class OutputTable(Table):
             raise ValueError(
                 f'normalize = "{self.normalize}" is of measured values, and there are none; write a number'
             )
-        return self
-
-    @model_validator(mode="after")
-    def _limits_leave_something(self) -> Self:
-        if self.at_least is not None and self.at_most is not None and not self.at_least < self.at_most:
-            raise ValueError(
-                f"at_least = {self.at_least:g} is not below at_most = {self.at_most:g}; correct one of them"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _correlation_stands_alone(self) -> Self:
-        if self.correlation_time_s is None:
-            return self
-        if self.error_lasts_s is not None:
-            raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
-        if self.loss != "squares":
-            raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
-        return self
-
-    @model_validator(mode="after")
-    def _scale_has_a_loss(self) -> Self:
-        if self.loss_scale is not None and self.loss == "squares":
-            raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
-        return self
 
     @property
     def source(self) -> tuple[str, str] | None:
@@ -342,11 +329,8 @@ class ParameterTable(Table):
         belief = None
         if self.prior is not None:
             # One of each is there, which was seen to.
-            centre = next(value for value in (self.prior.about, self.estimate) if value is not None)
-            width = next(
-                value for value in (self.prior.within, self.prior.within_factor) if value is not None
-            )
-            belief = Belief(centre, width)
+            centre = self.estimate if self.prior.about is None else self.prior.about
+            belief = Belief(centre or 0.0, self.prior.within or self.prior.within_factor or 0.0)
         return Parameter(**self.model_dump(exclude={"prior", "per_experiment"}), prior=belief)
 
 
@@ -426,16 +410,16 @@ class ExperimentTable(Table):
         fixed: values of [fixed] that differ.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+    name: Label
     held_out: bool = False
     weight: Positive = 1.0
     fmu: Name | None = None
-    interface: Literal["co-simulation", "model-exchange"] | None = None
+    interface: Interface | None = None
     data: Line | None = None
-    time: dict[str, Any] = Field(default_factory=dict)
-    inputs: list[dict[str, Any]] = Field(default_factory=list)
-    outputs: list[dict[str, Any]] = Field(default_factory=list)
-    fixed: dict[str, FixedValue] = Field(default_factory=dict)
+    time: dict[str, Any] = {}
+    inputs: list[dict[str, Any]] = []
+    outputs: list[dict[str, Any]] = []
+    fixed: dict[str, FixedValue] = {}
 
 
 class CaseFile(Table):
@@ -468,34 +452,33 @@ class CaseFile(Table):
 
     # Later schemas must say so, else an old program would read a new file wrongly.
     schema_version: Annotated[Literal[1], Field(alias="schema")]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+    name: Label
     title: str = ""
     note: str = ""
     fmu: Name
-    interface: Literal["co-simulation", "model-exchange"] = "co-simulation"
+    interface: Interface = "co-simulation"
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
     data: Line = "."
     data_origin: str = ""
     time_column: Name | None = None
     timezone: Name | None = None
     time: TimeTable
-    inputs: list[InputTable] = Field(default_factory=list)
+    inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
-    fixed: dict[str, FixedValue] = Field(default_factory=dict)
-    tied: dict[str, Line] = Field(default_factory=dict)
-    constraints: list[Line] = Field(default_factory=list)
+    fixed: dict[str, FixedValue] = {}
+    tied: dict[str, Line] = {}
+    constraints: list[Line] = []
     simulation: SimulationTable = SimulationTable()
-    references: list[ReferenceTable] = Field(default_factory=list)
-    experiments: list[ExperimentTable] = Field(default_factory=list)
+    references: list[ReferenceTable] = []
+    experiments: list[ExperimentTable] = []
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         zone_named(self.timezone)
-        inputs = Counter(f"inputs[{table.name}]" for table in self.inputs)
-        outputs = Counter(f"outputs[{table.name}]" for table in self.outputs)
-        parameters = Counter(f"parameters[{table.name}]" for table in self.parameters)
-        for key, n in (inputs | outputs | parameters).items():
+        tables = {"inputs": self.inputs, "outputs": self.outputs, "parameters": self.parameters}
+        declared = Counter(f"{key}[{table.name}]" for key in tables for table in tables[key])
+        for key, n in declared.items():
             if n > 1:
                 raise ValueError(f"{key} is declared {n} times; keep one")
         if not any(one.source for one in self.outputs):
@@ -506,10 +489,10 @@ class CaseFile(Table):
                 f"outputs[{plain[0]}] has no normalize and others have; give it to all of them, or to none"
             )
         for name in self.fixed:
-            if f"parameters[{name}]" in parameters:
+            if f"parameters[{name}]" in declared:
                 raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")
         for name in self.tied:
-            if name in self.fixed or f"parameters[{name}]" in parameters:
+            if name in self.fixed or f"parameters[{name}]" in declared:
                 also = "[fixed]" if name in self.fixed else "[[parameters]]"
                 raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self

@@ -77,10 +77,9 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
     """Check that every input of the FMU has one source: a recording, a value, or that it is calibrated."""
     driven, calibrated = [table.name for table in file.inputs], [table.name for table in file.parameters]
     for name in driven:
-        if name in file.fixed:
-            raise InputError(f"inputs[{name}] is also under [fixed]; drop one of the two")
-        if name in calibrated:
-            raise InputError(f"inputs[{name}] is also under [[parameters]]; drop one of the two")
+        for also, names in (("[fixed]", file.fixed), ("[[parameters]]", calibrated)):
+            if name in names:
+                raise InputError(f"inputs[{name}] is also under {also}; drop one of the two")
     for name in fmu.names("input"):
         # An input that nothing can set must not stop the others; `studies check` reports it.
         has_source = name in (*driven, *file.fixed, *calibrated, *file.tied)

@@ -156,21 +156,22 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
     samples, limits, weights = [], [], []
     for table in file.outputs:
         with errors_at(f"outputs[{table.name}]"):
-            limits.append(_limits(table, time[time >= begin_s - 1e-6 * file.time.output_step_s]))
+            its = _limits(table, time[time >= begin_s - 1e-6 * file.time.output_step_s])
             if table.source is None:
-                one = _no_samples(limits[-1])
-                samples.append(one)
-                weights.append(_weight(table, one))
-                continue
-            recording, column = data.recordings[table.source[0]], table.source[1]
-            said = file.time.unit.period(period.compared_d)
-            one = _samples(recording, column, (begin_s, float(time[-1])), seen_s, said)
-            low, high = table.accepted or (-math.inf, math.inf)
-            for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
-                raise InputError(
-                    f"accepted = [{low:g}, {high:g}] leaves out the measured {one.values[row]:g} at "
-                    f"{one.time[row]:.12g} s; widen it, or empty that cell"
-                )
+                assert its is not None, "an output has a measurement or limits"
+                # What stands in place of samples.
+                one = Samples(its.time, np.full(its.time.shape, its.ends[-1]))
+            else:
+                recording, column = data.recordings[table.source[0]], table.source[1]
+                said = file.time.unit.period(period.compared_d)
+                one = _samples(recording, column, (begin_s, float(time[-1])), seen_s, said)
+                low, high = table.accepted or (-math.inf, math.inf)
+                for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
+                    raise InputError(
+                        f"accepted = [{low:g}, {high:g}] leaves out the measured {one.values[row]:g} at "
+                        f"{one.time[row]:.12g} s; widen it, or empty that cell"
+                    )
+            limits.append(its)
             samples.append(one)
             weights.append(_weight(table, one))
     correlation_s = np.array([table.correlation_time_s or 0.0 for table in file.outputs])
@@ -194,12 +195,6 @@ def _limits(table: OutputTable, time: FloatArray) -> Limits | None:
     low = -math.inf if table.at_least is None else table.at_least
     high = math.inf if table.at_most is None else table.at_most
     return Limits(time, low, high, is_alone=table.source is None)
-
-
-def _no_samples(limits: Limits | None) -> Samples:
-    """Return what stands in place of the samples of an output that has limits alone."""
-    assert limits is not None, "an output has a measurement or limits"
-    return Samples(limits.time, np.full(limits.time.shape, limits.ends[-1]))
 
 
 def _weight(table: OutputTable, samples: Samples) -> float:

@@ -89,18 +89,17 @@ def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[st
         own = [{**usual.get(one.get("name"), {}), **one} for one in said.pop(key, [])]
         # Inputs all need a source; outputs are what this experiment measured.
         kept = [*usual.values()] if key == "inputs" or not own else []
-        named = {one.get("name"): one for one in own}
-        whole[key] = [one for one in kept if one["name"] not in named] + own
+        names = {one.get("name") for one in own}
+        whole[key] = [one for one in kept if one["name"] not in names] + own
     time = dict(whole.get("time", {}))
     if said.get("time", {}).keys() & {"window_d", "window_s"}:
         time = {name: value for name, value in time.items() if not name.startswith("window_")}
     whole["time"] = time | said.pop("time", {})
     whole["fixed"] = whole.get("fixed", {}) | said.pop("fixed", {})
     # What an experiment knows is no parameter of it.
+    parameters = whole.get("parameters", [])
     whole["parameters"] = [
-        one
-        for one in whole.get("parameters", [])
-        if not isinstance(one, dict) or one.get("name") not in table.fixed
+        one for one in parameters if not isinstance(one, dict) or one.get("name") not in table.fixed
     ]
     return whole | said
 

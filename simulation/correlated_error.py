@@ -33,7 +33,7 @@ def whitened(differences: FloatArray, rho: FloatArray) -> FloatArray:
     """
     found = np.array(differences, dtype=np.float64)
     found[..., 1:] -= rho[1:] * differences[..., :-1]
-    return np.asarray(found / np.sqrt(1.0 - rho**2))
+    return found / np.sqrt(1.0 - rho**2)
 
 
 def coloured(innovations: FloatArray, rho: FloatArray) -> FloatArray:
@@ -41,4 +41,4 @@ def coloured(innovations: FloatArray, rho: FloatArray) -> FloatArray:
     found = innovations * np.sqrt(1.0 - rho**2)
     for i in range(1, found.shape[-1]):
         found[..., i] += rho[i] * found[..., i - 1]
-    return np.asarray(found)
+    return found

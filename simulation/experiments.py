@@ -1,7 +1,6 @@
 """Several experiments as one model: every row is simulated in each, and its outputs stand side by side."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -75,7 +74,13 @@ class ExperimentRows:
 
 
 class ExperimentsModel:
-    """The models of several experiments in one process, each opened when it is first asked."""
+    """The models of several experiments in one process, each opened when it is first asked.
+
+    Attributes:
+        parameter_space: The experiment's place and the parameters.
+        output_names: Places of the outputs.
+        time: Output times of the longest experiment. Shape (t,). [s]
+    """
 
     def __init__(self, rows: ExperimentRows) -> None:
         """Open the first model, so that what cannot be opened is said at once.
@@ -84,23 +89,10 @@ class ExperimentsModel:
             rows: What may be asked.
         """
         self._rows = rows
+        self.parameter_space, self.output_names = rows.parameter_space, rows.output_names
+        self.time = rows.time
         self._models: dict[int, FmuModel] = {}
         self._model(0)
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The experiment's place and the parameters."""
-        return self._rows.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Places of the outputs."""
-        return self._rows.output_names
-
-    @cached_property
-    def time(self) -> FloatArray:
-        """Output times of the longest experiment. Shape (t,). [s]."""
-        return self._rows.time
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row in the experiment that it names.
@@ -139,7 +131,15 @@ class ExperimentsModel:
 
 
 class JoinedModel:
-    """Several experiments as one forward model, around a model that answers rows of any experiment."""
+    """Several experiments as one forward model, around a model that answers rows of any experiment.
+
+    Attributes:
+        model: Answers rows of `rows`.
+        rows: Which rows those are.
+        parameter_space: Parameters of all experiments.
+        output_names: Names of the outputs of all experiments.
+        time: Output times of the longest experiment. Shape (t,). [s]
+    """
 
     def __init__(self, model: ForwardModel, rows: ExperimentRows, space: ParameterSpace) -> None:
         """Wrap a model.
@@ -151,16 +151,7 @@ class JoinedModel:
         """
         self.model, self.rows = model, rows
         self.parameter_space = space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Names of the outputs of all experiments."""
-        return self.rows.layout.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """Output times of the longest experiment. Shape (t,). [s]."""
-        return self.rows.layout.time
+        self.output_names, self.time = rows.layout.output_names, rows.layout.time
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row in every experiment, side by side.

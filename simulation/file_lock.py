@@ -3,7 +3,6 @@
 import errno
 import fcntl
 import os
-import time
 from pathlib import Path
 
 from simulation.errors import MachineError
@@ -26,8 +25,11 @@ class FileLock:
         self._file = file
         self._descriptor: int | None = None
 
-    def try_acquire(self) -> bool:
+    def try_acquire(self, *, waits: bool = False) -> bool:
         """Take the lock if no other process is in the way; return whether it is held now.
+
+        Args:
+            waits: Whether to wait for another process until the lock is free.
 
         Raises:
             MachineError: If there are no locks where the file lies.
@@ -36,7 +38,7 @@ class FileLock:
             self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
             if error.errno in _HELD:
@@ -54,10 +56,7 @@ class FileLock:
 
     def acquire(self) -> None:
         """Wait until the lock is held."""
-        wait_s = 0.0005
-        while not self.try_acquire():
-            time.sleep(wait_s)
-            wait_s = min(2.0 * wait_s, 0.02)
+        self.try_acquire(waits=True)
 
     def release(self) -> None:
         """Give the lock back; without effect where it is not held."""

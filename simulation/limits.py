@@ -30,7 +30,7 @@ class Limits:
 
     def excess(self, values: FloatArray) -> FloatArray:
         """Return how far values lie beyond: below 0 under the lower limit. Shape as they have. [unit]."""
-        return np.asarray(values - np.clip(values, self.at_least, self.at_most))
+        return values - np.clip(values, self.at_least, self.at_most)
 
     def within(self, begin_s: float, length_s: float) -> "Limits":
         """Return the same with times from a begin on, for `length_s` at most. [s]."""

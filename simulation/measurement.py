@@ -74,8 +74,8 @@ class Measurement:
             raise ValueError(f"weights are {self.weights}; every output's has to be positive")
         for one in self.samples:
             place_of(self.time, one.time)
-        for k in self._with_limits_beside:
-            place_of(self.time, self._its_limits(k).time)
+        for limits in self._limits_beside.values():
+            place_of(self.time, limits.time)
 
     @classmethod
     def on_grid(
@@ -165,12 +165,9 @@ class Measurement:
         """
         uncertainty = self.uncertainty
         n = np.array([len(one.time) for one in self.samples], dtype=np.float64)
-        shares = np.sqrt(self.weights * float(self.n_samples) / (self._sum_of_weights * n))
+        sum_of_weights = float(self.weights[list(self.measured)].sum())
+        shares = np.sqrt(self.weights * float(self.n_samples) / (sum_of_weights * n))
         return np.asarray(uncertainty[0] / uncertainty * shares)
-
-    @property
-    def _sum_of_weights(self) -> float:
-        return float(self.weights[list(self.measured)].sum())
 
     @property
     def error_scales(self) -> FloatArray:
@@ -179,7 +176,7 @@ class Measurement:
         By uncertainty and weight alone, for errors on the output grid; 1 for a single output.
         """
         share = self.weights / np.mean(self.weights)
-        return np.asarray(self.uncertainty[0] / self.uncertainty * share, dtype=np.float64)
+        return self.uncertainty[0] / self.uncertainty * share
 
     def differences(self, y: FloatArray, output: int) -> FloatArray:
         """Return simulated minus measured at the samples of one output.
@@ -194,7 +191,7 @@ class Measurement:
         simulated, limits = self._places[output].of(y[:, :, output]), self.limits_of(output)
         if limits is not None and limits.is_alone:
             return limits.excess(simulated)
-        return np.asarray(simulated - self.samples[output].values)
+        return simulated - self.samples[output].values
 
     def limits_of(self, output: int) -> Limits | None:
         """Return the limits of an output, None for none."""
@@ -207,7 +204,8 @@ class Measurement:
             y: Simulated outputs. Shape (n, t, k). [per output]
             output: Position of the output.
         """
-        limits = self._its_limits(output)
+        limits = self.limits_of(output)
+        assert limits is not None, "asked of an output with limits"
         return limits.excess(place_of(self.time, limits.time).of(y[:, :, output]))
 
     def loss_of(self, output: int) -> RobustLoss | None:
@@ -284,7 +282,7 @@ class Measurement:
             loss. Shape (n, n_samples). [first output's unit]
         """
         parts = [self.residuals(y, k) for k in range(len(self.samples))]
-        parts += [self._beyond(y, k) for k in self._with_limits_beside]
+        parts += [self._beyond(y, k) for k in self._limits_beside]
         joined = parts[0] if len(parts) == 1 else np.take(np.concatenate(parts, axis=1), self._order, axis=1)
         # The sum of a row must not depend on the other rows, not in its last digit.
         return np.ascontiguousarray(joined)
@@ -314,31 +312,24 @@ class Measurement:
     @property
     def output_of(self) -> IntArray:
         """Output that each residual is of, those of limits as well. Shape (n_samples,)."""
-        targets = np.array([*range(len(self.samples)), *self._with_limits_beside], dtype=np.int64)
-        return np.asarray(targets[self._by_target[self._order]])
+        targets = np.array([*range(len(self.samples)), *self._limits_beside], dtype=np.int64)
+        return targets[self._by_target[self._order]]
 
     @property
     def is_of_limits(self) -> BoolArray:
         """Which residuals are of limits, not of a measurement. Shape (n_samples,)."""
-        outputs = [k not in self.measured for k in range(len(self.samples))]
-        targets = np.array([*outputs, *(True for _ in self._with_limits_beside)], dtype=np.bool_)
-        return np.asarray(targets[self._by_target[self._order]])
+        # Targets after the outputs are limits beside a measurement.
+        return ~np.isin(self._by_target[self._order], self.measured)
 
     @cached_property
-    def _with_limits_beside(self) -> tuple[int, ...]:
+    def _limits_beside(self) -> dict[int, Limits]:
         """Positions of the outputs that have limits beside a measurement."""
-        return tuple(k for k in self.measured if self.limits_of(k) is not None)
-
-    def _its_limits(self, output: int) -> Limits:
-        limits = self.limits_of(output)
-        assert limits is not None, "asked of an output with limits"
-        return limits
+        return {k: limits for k in self.measured if (limits := self.limits_of(k)) is not None}
 
     @cached_property
     def _times(self) -> list[FloatArray]:
         """Times of the residuals: of each output's samples, then of the limits beside them. [s]."""
-        beside = [self._its_limits(k).time for k in self._with_limits_beside]
-        return [one.time for one in self.samples] + beside
+        return [one.time for one in (*self.samples, *self._limits_beside.values())]
 
     @cached_property
     def _order(self) -> IntArray:

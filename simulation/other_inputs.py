@@ -34,11 +34,9 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
         raise InputError(
             f"{case.path}: the model has no [[inputs]]; there is nothing that {recording} drives"
         )
-    columns, leading = dict[str, list[str]](), file.inputs[0].file
-    for table in file.inputs:
-        columns.setdefault(table.file, []).extend(table.weights)
-    places = {name: recording / name if recording.is_dir() else recording for name in columns}
-    data = on_one_axis(file, read_columns(file, columns, places), leading)
+    recordings = read_columns(file, [], lambda name: recording / name if recording.is_dir() else recording)
+    leading = file.inputs[0].file
+    data = on_one_axis(file, recordings, leading)
     begin_s, end_s = data.recordings[leading].time[[0, -1]].tolist()
     step, every = case.communication_step_s, case.scenario.output_every
     n_outputs = int((end_s - begin_s) / case.output_step_s * (1.0 + 1e-9))

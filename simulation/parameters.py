@@ -151,6 +151,17 @@ class ParameterSpace:
         mask.setflags(write=False)
         return mask
 
+    def rows(self, theta: FloatArray) -> FloatArray:
+        """Return a copy of what a model is asked, as doubles. Shape (n, p). [per parameter].
+
+        Raises:
+            ValueError: If it has another shape.
+        """
+        theta = np.array(theta, dtype=np.float64)
+        if theta.ndim != 2 or theta.shape[1] != self.n_parameters:
+            raise ValueError(f"theta has shape {theta.shape}; expected (n, {self.n_parameters})")
+        return theta
+
     def named(self, values: FloatArray) -> dict[str, float]:
         """Return values by the parameters' names. Shape (p,)."""
         return dict(zip(self.names, values.tolist(), strict=True))
@@ -240,8 +251,7 @@ class ParameterSpace:
         theta = np.where(self.is_log, np.exp(np.where(self.is_log, inside, 0.0)), inside)
         theta = np.where(u <= 0.0, lower, np.where(u >= 1.0, upper, theta))
         # NaN coordinates stay NaN through the clip: a failed row of the model, not a corner of the box.
-        clipped: FloatArray = np.clip(theta, lower, upper)
-        return clipped
+        return np.clip(theta, lower, upper)
 
     def ends(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far each parameter can be moved while the others stay. Shape (p,) each. [per parameter].
@@ -272,8 +282,7 @@ class ParameterSpace:
 
     def _coordinates(self, theta: FloatArray) -> FloatArray:
         with np.errstate(invalid="ignore", divide="ignore"):
-            coordinates: FloatArray = np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
-        return coordinates
+            return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
 
     def _checked(self, array: FloatArray) -> FloatArray:
         array = np.asarray(array, dtype=np.float64)

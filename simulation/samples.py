@@ -48,7 +48,7 @@ class Place:
             return series
         found = series[:, self.before] * (1.0 - self.share)
         found += series[:, self.after] * self.share
-        return np.asarray(found)
+        return found
 
 
 def place_of(grid: FloatArray, time: FloatArray) -> Place:

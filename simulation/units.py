@@ -237,21 +237,15 @@ def _normal(unit: str) -> Exponents | str:
         if token is None:
             return text
         position = token.end()
-        match token["sign"]:
-            case "/":
-                turn = -1
-            case "(":
-                signs.append(signs[-1] * turn)
-                turn = 1
-            case ")" if len(signs) > 1:
-                signs.pop()
-                turn = 1
-            case ")":
+        if token["name"]:
+            exponents[token["name"]] += signs[-1] * turn * int(token["power"] or 1)
+        elif token["sign"] == "(":
+            signs.append(signs[-1] * turn)
+        elif token["sign"] == ")":
+            signs.pop()
+            if not signs:
                 return text
-            case ".":
-                turn = 1
-            case None:
-                if token["name"]:
-                    exponents[token["name"]] += signs[-1] * turn * int(token["power"] or 1)
+        if token["sign"]:
+            turn = -1 if token["sign"] == "/" else 1
     is_unit = len(signs) == 1 and all(abs(power) < _MOST_POWER for power in exponents.values())
     return _sorted(exponents) if is_unit else text

@@ -1,5 +1,6 @@
 """Solve flat model equations for the derivatives and outputs, block by block."""
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -141,18 +142,16 @@ def _actions(model: FlatModel, algebraic: dict[str, Any]) -> tuple[Action, ...]:
 def _solve_block(equations: Any, unknowns: list[Any], model_name: str) -> list[Any]:
     stacked = column(unknowns)
     matrix = ca.jacobian(equations, stacked)
+    said = f"{model_name}: the equations of {', '.join(symbol.name() for symbol in unknowns)}"
     if ca.depends_on(matrix, stacked):
-        names = ", ".join(symbol.name() for symbol in unknowns)
-        raise CompileError(
-            f"{model_name}: the equations of {names} are nonlinear in them; solve by hand or add a storage"
-        )
+        raise CompileError(f"{said} are nonlinear in them; solve by hand or add a storage")
     at_zero = ca.substitute(equations, stacked, ca.SX.zeros(stacked.shape))
     indices = range(len(unknowns))
     rows = [[matrix[i, j] for j in indices] for i in indices]
-    return _eliminate(rows, [-at_zero[i] for i in indices], model_name, unknowns)
+    return _eliminate(rows, [-at_zero[i] for i in indices], said)
 
 
-def _eliminate(matrix: list[list[Any]], right: list[Any], model_name: str, unknowns: list[Any]) -> list[Any]:
+def _eliminate(matrix: list[list[Any]], right: list[Any], said: str) -> list[Any]:
     """Gaussian elimination on expressions.
 
     A number is taken as pivot before an expression: in networks of conductances that leaves sums of
@@ -164,8 +163,7 @@ def _eliminate(matrix: list[list[Any]], right: list[Any], model_name: str, unkno
     for _ in range(n):
         pivot = _pivot(matrix, free_rows, free_columns)
         if pivot is None:
-            names = ", ".join(symbol.name() for symbol in unknowns)
-            raise CompileError(f"{model_name}: the equations of {names} contradict each other")
+            raise CompileError(f"{said} contradict each other")
         row, col = pivot
         free_rows.remove(row)
         free_columns.remove(col)
@@ -192,15 +190,11 @@ def _vanishes(expression: Any) -> bool:
 
 
 def _pivot(matrix: list[list[Any]], rows: list[int], columns: list[int]) -> tuple[int, int] | None:
-    best: tuple[tuple[int, float, int], tuple[int, int]] | None = None
-    for i in rows:
-        for j in columns:
-            entry = matrix[i][j]
-            if _vanishes(entry):
-                continue
-            in_row = sum(not _vanishes(matrix[i][k]) for k in columns)
-            fill = in_row * sum(not _vanishes(matrix[k][j]) for k in rows)
-            key = (0, -abs(float(entry)), fill) if entry.is_constant() else (1, 0.0, fill)
-            if best is None or key < best[0]:
-                best = (key, (i, j))
-    return None if best is None else best[1]
+    there = [(i, j) for i in rows for j in columns if not _vanishes(matrix[i][j])]
+    in_rows, in_columns = Counter(i for i, _ in there), Counter(j for _, j in there)
+
+    def cost(place: tuple[int, int]) -> tuple[int, float, int]:
+        entry, fill = matrix[place[0]][place[1]], in_rows[place[0]] * in_columns[place[1]]
+        return (0, -abs(float(entry)), fill) if entry.is_constant() else (1, 0.0, fill)
+
+    return min(there, key=cost, default=None)

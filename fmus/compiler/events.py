@@ -46,11 +46,6 @@ class EventNames:
     branches: tuple[Branch, ...] = ()
 
 
-def has_when(flat_class: Any) -> bool:
-    """Return whether a flat class has a when-equation."""
-    return any(isinstance(equation, ast.WhenEquation) for equation in flat_class.equations)
-
-
 def take_out_events(flat_class: Any) -> EventNames:
     """Replace relations and whens of a flat class by variables that are held between events.
 

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import count
 from typing import Any
 
 import casadi as ca
@@ -47,7 +48,9 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         "variableNamingConvention": "structured",
         **({} if is_fmi3 else {"numberOfEventIndicators": len(ode.truths)}),
     }
-    variables, dependencies, time = _variables(ode), _dependencies(ode), _time_reference(ode)
+    variables = _variables(ode)
+    time = len(variables) + len(ode.truths)
+    dependencies = _dependencies(ode, time)
     if is_fmi3:
         # FMI 2.0 refers to a state by its place in the list, FMI 3.0 by its value reference.
         for _, real in variables:
@@ -67,23 +70,6 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         dependencies=dependencies,
         time=time,
     )
-
-
-def write_build_description(settings: BuildSettings) -> str:
-    """Write how the sources of an FMI 3.0 FMU are compiled.
-
-    Args:
-        settings: Names.
-
-    Returns:
-        Text of buildDescription.xml.
-    """
-    return filled("buildDescription.xml.jinja", settings=settings)
-
-
-def _time_reference(ode: Ode) -> int:
-    n_rest = len(ode.inputs) + len(ode.parameters) + len(ode.outputs) + len(ode.discrete)
-    return 2 * len(ode.states) + n_rest + len(ode.truths)
 
 
 def _variables(ode: Ode) -> list[Attributes]:
@@ -129,21 +115,19 @@ def _scalar(variable: Variable, **attributes: str) -> Attributes:
     return {"name": variable.name, **description, **attributes}, real
 
 
-def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
+def _dependencies(ode: Ode, time_reference: int) -> dict[str, list[tuple[int, list[int]]]]:
     """Return what each unknown depends on, both by value reference.
 
     Derivatives and outputs depend on states and inputs, initial values on inputs and parameters, all on time.
     """
-    n_states, n_inputs, n_parameters = len(ode.states), len(ode.inputs), len(ode.parameters)
-    states = [(i, v.symbol) for i, v in enumerate(ode.states)]
-    inputs = [(2 * n_states + i, v.symbol) for i, v in enumerate(ode.inputs)]
-    parameters = [(2 * n_states + n_inputs + i, v.symbol) for i, v in enumerate(ode.parameters)]
-    time = (_time_reference(ode), ode.time)
-    first_output = 2 * n_states + n_inputs + n_parameters
-    outputs = [(first_output + i, ode.output[i]) for i in range(len(ode.outputs))]
-    derivatives = [(n_states + i, ode.derivative[i]) for i in range(n_states)]
+    references, time = count(), (time_reference, ode.time)
+    # Value references count through these, in the order of `_variables`.
+    states, derivatives, inputs, parameters, outputs = (
+        [(next(references), symbols[i]) for i in range(symbols.numel())]
+        for symbols in (ode.x, ode.derivative, column([v.symbol for v in ode.inputs]), ode.p, ode.output)
+    )
     # At the start the states are themselves unknowns; what they depend on takes their place.
-    initial = [(i, ode.start[i]) for i in range(n_states)]
+    initial = [(i, ode.start[i]) for i, _ in states]
     truths, started = column(list(ode.truths)), column([v.symbol for v in (*ode.states, *ode.discrete)])
     for index, expression in (*derivatives, *outputs):
         # A condition depends on whatever its margin does.

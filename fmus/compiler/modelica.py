@@ -10,7 +10,7 @@ from pymoca import ast, parser
 from pymoca.backends.casadi import generator
 from pymoca.tree import flatten
 
-from fmus.compiler.events import EventNames, has_when, take_out_events
+from fmus.compiler.events import EventNames, take_out_events
 from fmus.compiler.settings import CompileError
 
 # CasADi 3.8 dropped the Python 2 name of the division that pymoca 0.12 asks for.
@@ -93,12 +93,17 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
         CompileError: If the source does not parse, or leaves the subset that is understood.
     """
     try:
-        tree = _flatten(sources, class_name)
+        parsed, *others = [parser.parse(path.read_text(encoding="utf-8")) for path in sources]
+        for other in others:
+            parsed.extend(other)
+        tree = flatten(parsed, ast.ComponentRef.from_string(class_name))
         flat_class = tree.classes[class_name]
         # What pymoca's CasADi model leaves out: units and descriptions.
-        symbols, description = dict(flat_class.symbols), str(flat_class.comment or "")
-        events = take_out_events(flat_class) if with_events else EventNames()
-        if not with_events and has_when(flat_class):
+        symbols, description = dict(flat_class.symbols), flat_class.comment or ""
+        events = EventNames()
+        if with_events:
+            events = take_out_events(flat_class)
+        elif any(isinstance(equation, ast.WhenEquation) for equation in flat_class.equations):
             raise CompileError(f"{class_name}: has a when; write events = true into the build file")
         # What pymoca's `generate` does after flattening.
         options: Any = generator._merge_default_options(None)  # more than the type it declares
@@ -112,13 +117,6 @@ def read_model(sources: list[Path], class_name: str, *, with_events: bool = Fals
             f"{class_name}: pymoca cannot read it ({type(error).__name__}: {said}); keep to its subset"
         ) from error
     return _resolve(writer.model, class_name, symbols, description, events)
-
-
-def _flatten(sources: list[Path], class_name: str) -> Any:
-    tree, *others = [parser.parse(path.read_text(encoding="utf-8")) for path in sources]
-    for other in others:
-        tree.extend(other)
-    return flatten(tree, ast.ComponentRef.from_string(class_name))
 
 
 def _resolve(
@@ -138,16 +136,15 @@ def _resolve(
 
     def convert(expressions: list[Any]) -> list[Any]:
         function = ca.Function("convert", mx, [ca.densify(ca.MX(e)) for e in expressions])
-        result = function.call(sx)
-        return list(result)
+        return list(function.call(sx))
 
     values = convert([v.value for v in known])
-    bound = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if not x.is_constant()}
-    numbers = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if x.is_constant()}
+    values_of = {v.symbol.name(): x for v, x in zip(known, values, strict=True)}
+    numbers = {name: x for name, x in values_of.items() if x.is_constant()}
     # A number that a component was built with is part of the model; parameters are those of the model itself.
     free = {v.symbol.name() for v in raw.parameters if "." not in v.symbol.name()} & numbers.keys()
-    constants = {name: number for name, number in numbers.items() if name not in free}
-    replaced = _close({**constants, **bound}, by_name, class_name)
+    rest = {name: x for name, x in values_of.items() if name not in free}
+    replaced = _close(rest, by_name, class_name)
     old = [by_name[name] for name in replaced]
     new = list(replaced.values())
 
@@ -174,10 +171,10 @@ def _resolve(
     for state in raw.states:
         if not bool(float(ca.MX(state.fixed).to_DM() if isinstance(state.fixed, ca.MX) else state.fixed)):
             raise CompileError(f"{class_name}: the state {state.symbol.name()} needs start and fixed=true")
-    discrete = [v for v in raw.inputs if v.symbol.name() in events.discrete]
     held = {*events.discrete, *events.truths}
-    with_start = [*raw.states, *discrete]
+    with_start = [*raw.states, *(v for v in raw.inputs if v.symbol.name() in events.discrete)]
     starts = substitute(convert([v.start for v in with_start])) if with_start else []
+    made = [make(v, start) for v, start in zip(with_start, starts, strict=True)]
     n_states = len(raw.states)
     checks = tuple(
         Check(name, replaced[name], str(symbols[name].unit.value or ""), limit(v.min), limit(v.max))
@@ -193,7 +190,7 @@ def _resolve(
         name=class_name,
         description=description,
         time=by_name[raw.time.name()],
-        states=tuple(make(v, start) for v, start in zip(raw.states, starts[:n_states], strict=True)),
+        states=tuple(made[:n_states]),
         derivatives=tuple(by_name[v.symbol.name()] for v in raw.der_states),
         algebraics=tuple(make(v, None) for v in raw.alg_states),
         inputs=tuple(make(v, limit(v.start)) for v in raw.inputs if v.symbol.name() not in held),
@@ -203,7 +200,7 @@ def _resolve(
         output_names=tuple(raw.outputs),
         residual=substitute([ca.vertcat(*convert(raw.equations))])[0],
         checks=tuple(check for check in checks if not check.expression.is_constant()),
-        discrete=tuple(make(v, start) for v, start in zip(discrete, starts[n_states:], strict=True)),
+        discrete=tuple(made[n_states:]),
         truths=tuple(by_name[name] for name in events.truths),
         events=events,
     )

@@ -3,6 +3,7 @@
 import hashlib
 import subprocess
 import tempfile
+import uuid
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import fmpy
 
 from fmus.compiler.causal import Ode, column, make_explicit
 from fmus.compiler.filled import filled
-from fmus.compiler.model_description import write_build_description, write_description
+from fmus.compiler.model_description import write_description
 from fmus.compiler.modelica import read_model
 from fmus.compiler.settings import BuildSettings, CompileError, read_settings
 
@@ -64,7 +65,8 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
         **{f"resources/{path.name}": path.read_bytes() for path in modelica},
     }
     if settings.fmi_version == "3.0":
-        files["sources/buildDescription.xml"] = write_build_description(settings).encode()
+        described = filled("buildDescription.xml.jinja", settings=settings)
+        files["sources/buildDescription.xml"] = described.encode()
     _pack(files, target)
     return target
 
@@ -74,8 +76,7 @@ def _guid(parts: list[bytes]) -> str:
     for part in parts:
         digest.update(len(part).to_bytes(8, "little"))
         digest.update(part)
-    text = digest.hexdigest()
-    return f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
+    return f"{{{uuid.UUID(digest.hexdigest()[:32])}}}"
 
 
 def _compile(sources: dict[str, bytes], settings: BuildSettings) -> bytes:

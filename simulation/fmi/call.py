@@ -57,16 +57,14 @@ def cached(function: Callable[..., Any], compiler: Callable[..., Any]) -> Any:
         return compiler()(function)
 
 
-def make_ready(function: Callable[..., Any], *arguments: Any) -> None:
+def make_ready(function: Any, *arguments: Any) -> None:
     """Compile a function, or fetch it from the cache, for arguments of these types; do not call it.
 
     Args:
         function: A compiled() function.
         arguments: What it will be called with.
     """
-    dispatcher: Any = function
-    type_of: Any = typeof
-    dispatcher.compile(tuple(type_of(argument) for argument in arguments))
+    function.compile(tuple(typeof(argument) for argument in arguments))
 
 
 def _call_status(typing_context: Any, address: Any, arguments: Any) -> Any:
@@ -82,8 +80,7 @@ def _call_status(typing_context: Any, address: Any, arguments: Any) -> Any:
         function_type = ir.FunctionType(ir.IntType(32), argument_types)
         # From an argument: an address compiled into the code would hold for one process alone.
         function = builder.inttoptr(target, function_type.as_pointer())
-        unpack: Any = cgutils.unpack_tuple
-        return builder.call(function, unpack(builder, packed, len(argument_types)))
+        return builder.call(function, cgutils.unpack_tuple(builder, packed, len(argument_types)))
 
     return signature, generate
 

@@ -32,13 +32,10 @@ _Pointer = ctypes.c_void_p
 
 # What CVODE's return flags mean to someone who calibrates.
 FLAGS = {
-    -1: "the integrator needed too many steps (CV_TOO_MUCH_WORK)",
     -2: "the tolerance is tighter than the numbers' precision (CV_TOO_MUCH_ACC)",
     -3: "the integrator needed too small steps (CV_ERR_FAILURE)",
     -4: "the integrator's equations did not converge (CV_CONV_FAILURE)",
-    -5: "the linear solver could not be initialized (CV_LINIT_FAIL)",
     -6: "the linear solver could not be set up (CV_LSETUP_FAIL)",
-    -7: "the linear solver failed (CV_LSOLVE_FAIL)",
     -8: "the derivatives could not be calculated (CV_RHSFUNC_FAIL)",
     -9: "the derivatives could not be calculated at the start of a step (CV_FIRST_RHSFUNC_ERR)",
     -10: "the derivatives could not be calculated however small the step (CV_REPTD_RHSFUNC_ERR)",

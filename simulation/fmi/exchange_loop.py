@@ -105,32 +105,27 @@ def _go_through_event(
 
 @compiled
 def _read(
-    table: Any,
-    seen: Any,
-    step: int,
-    at_edge: Any,
-    output_list: Any,
-    n_outputs: Any,
-    y_address: Any,
-    behind: int,
+    table: Any, seen: Any, behind: int, passed: int, n_steps: int, every: int, references: Any, y: FloatArray
 ) -> bool:
     """Read the outputs at an edge, with the inputs that they see there; return whether all calls were good.
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SIZE,).
         seen: What sets the inputs that outputs see (see loop). Shape (n_functions, 5), intp.
-        step: Step whose inputs are set, and are again afterwards.
-        at_edge: Row of the values at the edge.
-        output_list: Address of the outputs' references.
-        n_outputs: Outputs.
-        y_address: Address to read them to.
         behind: Rows of the table of inputs, whose stages come first.
+        passed: The edge; the inputs of the step before it are set, and are again afterwards.
+        n_steps: Steps, whose inputs come first in `seen`.
+        every: Steps per output step.
+        references: Value references of the outputs. Shape (k,), uint32.
+        y: Outputs to fill. Shape (t, k).
     """
-    status, row = set_inputs(table[calls.COMPONENT], seen, at_edge)
+    status, row = set_inputs(table[calls.COMPONENT], seen, n_steps + passed)
     if status <= WARNING:
-        if not calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs)):
+        n = references.size
+        address = np.intp(y.ctypes.data) + passed // every * n * y.itemsize
+        if not calls.called(table, calls.GET, (np.intp(references.ctypes.data), n, address, n)):
             return False
-        status, row = set_inputs(table[calls.COMPONENT], seen, step)
+        status, row = set_inputs(table[calls.COMPONENT], seen, max(passed - 1, 0))
     if status > WARNING:
         table[calls.STATUS], table[calls.STAGE] = status, calls.FIRST_INPUT + behind + row
     return bool(status <= WARNING)
@@ -170,9 +165,7 @@ def simulate_row(
     Returns:
         How it ended, details being in the table, and the time. [s]
     """
-    n_steps, n_outputs = edges.size - 1, output_references.size
-    output_list = np.intp(output_references.ctypes.data)
-    y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
+    n_steps = edges.size - 1
     x, x_between, _ = vectors
     info, reached = np.zeros(4), np.zeros(1)
     # Whether an event follows and whether the FMU wants to end: a bool of one byte, or four in FMI 2.0, each
@@ -185,7 +178,7 @@ def simulate_row(
     if end != GOOD:
         return end, time
     behind = inputs.shape[0]
-    if not _read(table, seen, 0, n_steps, output_list, n_outputs, y_address, behind):
+    if not _read(table, seen, behind, 0, n_steps, output_every, output_references, y):
         return BAD_CALL, time
     while passed < n_steps:
         # A time event that is due already must not lead back.
@@ -218,7 +211,6 @@ def simulate_row(
         while edges[passed + 1] < time:
             passed, n_internal, n_events = passed + 1, 0, 0
             if passed % output_every == 0:
-                y_address += y_stride
                 if integrates:
                     call_status(
                         table[calls.INTERPOLATE],
@@ -226,8 +218,7 @@ def simulate_row(
                     )
                 if not calls.at_point(table, edges[passed], x_between.ctypes.data):
                     return BAD_CALL, edges[passed]
-                at_edge = n_steps + passed
-                if not _read(table, seen, passed - 1, at_edge, output_list, n_outputs, y_address, behind):
+                if not _read(table, seen, behind, passed, n_steps, output_every, output_references, y):
                     return BAD_CALL, edges[passed]
         # The FMU was last asked at a trial point or an output, not where the step ended.
         if not calls.at_point(table, time, x.ctypes.data):
@@ -249,11 +240,9 @@ def simulate_row(
         if time < edges[passed + 1] or later <= time:
             continue
         passed, n_internal, n_events = passed + 1, 0, 0
-        if passed % output_every == 0:
-            y_address += y_stride
-            at_edge = n_steps + passed
-            if not _read(table, seen, passed - 1, at_edge, output_list, n_outputs, y_address, behind):
-                return BAD_CALL, time
+        is_output = passed % output_every == 0
+        if is_output and not _read(table, seen, behind, passed, n_steps, output_every, output_references, y):
+            return BAD_CALL, time
         if passed == changes[n_changes] and passed < n_steps:
             n_changes += 1
             end, later = _go_through_event(table, time, info, vectors, rtol, inputs, passed)

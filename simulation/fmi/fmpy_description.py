@@ -16,7 +16,7 @@ from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
 LAST_REFERENCE = 2**32 - 1  # value references are unsigned 32-bit integers
 # Folder of this platform's binaries, by FMI version.
-PLATFORM_FOLDERS = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
+PLATFORM_FOLDERS = {"2.0": fmpy.platform, "3.0": fmpy.platform_tuple}
 
 
 def binary_member(fmi_version: str, model_identifier: str) -> str:

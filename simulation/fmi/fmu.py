@@ -177,10 +177,7 @@ class FmuModel:
         """
         if not self._finalizer.alive:
             raise ValueError("the model is closed; open it again")
-        theta = np.array(theta, dtype=np.float64)
-        names = self.parameter_space.names
-        if theta.ndim != 2 or theta.shape[1] != len(names):
-            raise ValueError(f"theta has shape {theta.shape}; expected (n, {len(names)})")
+        theta, names = self.parameter_space.rows(theta), self.parameter_space.names
         y = np.empty((len(theta), len(self.time), len(self.output_names)))
         failures = tuple(map(self._simulate_row, theta, y))
         return Trajectories(theta, y, self.time, names, self.output_names, failures)

@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-from collections import deque
 from typing import Any
 
 import fmpy
@@ -10,10 +9,9 @@ from fmpy import fmi2, fmi3
 
 _WARNING = 1  # fmi2Warning, fmi3Warning
 
-# The last messages of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one. Some
-# tools log an assertion that ends a simulation as a warning.
-_ERRORS: deque[str] = deque(maxlen=1)
-_WARNINGS: deque[str] = deque(maxlen=1)
+# The last error and the last warning of any FMU of this process; one logger serves all, as fmpy's proxy can
+# hold only one. Some tools log an assertion that ends a simulation as a warning.
+_LAST: dict[bool, str] = {}  # by whether it is a warning
 
 
 def last_message(form: str) -> str:
@@ -22,22 +20,20 @@ def last_message(form: str) -> str:
     Args:
         form: What the line is put into, as ": {}".
     """
-    said = next(iter((*_ERRORS, *_WARNINGS)), "")
+    said = _LAST.get(False) or _LAST.get(True)
     return form.format(said) if said else ""
 
 
 def forget_messages() -> None:
     """Forget what was logged so far."""
-    _ERRORS.clear()
-    _WARNINGS.clear()
+    _LAST.clear()
 
 
 def _remember(*arguments: Any) -> None:
     """Take note of a message: the environment, in FMI 2.0 the instance's name, status, category, message."""
     *_, status, _, message = arguments
     if status >= _WARNING and message:
-        kept = _WARNINGS if status == _WARNING else _ERRORS
-        kept.append(" ".join(message.decode("utf-8", "replace").split()))
+        _LAST[status == _WARNING] = " ".join(message.decode("utf-8", "replace").split())
 
 
 def _callbacks_2() -> Any:

@@ -81,11 +81,10 @@ def step_through(
     output_list = output_references.ctypes.data
     # Three C bools: event handling needed, simulation to be terminated, returned early.
     flags = np.zeros(3, dtype=np.uint8)
-    flag, reach, until_output = np.intp(flags.ctypes.data), reached.ctypes.data, 0
+    flag, reach = np.intp(flags.ctypes.data), reached.ctypes.data
     # One turn more than steps: the first output lies at the first edge, before any step.
     for step in range(n_steps + 1):
-        if until_output == 0:
-            until_output = output_every
+        if step % output_every == 0:
             status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
             if status > WARNING:
                 return status, _GET, max(0, step - 1)
@@ -108,5 +107,4 @@ def step_through(
         # An FMU that ends with the last step has answered the whole row.
         if flags[1] != 0 and step < n_steps - 1:
             return ENDED, _STEP, step
-        until_output -= 1
     return 0, _GET, n_steps

@@ -116,12 +116,11 @@ class Start:
         driven = zip(plan.input_variables, scenario.inputs.T, strict=True)
         self.inputs = grouped(plan.input_variables, [values.astype(one.dtype) for one, values in driven])
         self.input_table = _table(instance, self.inputs)
-        at_edges = scenario.inputs_at_edges
-        at_edges = np.empty((plan.n_steps + 1, 0)) if at_edges is None else at_edges
+        at_edges = () if scenario.inputs_at_edges is None else scenario.inputs_at_edges.T
         continuous = [
             (variable, np.concatenate([over_steps, at]).astype(variable.dtype))
             for variable, over_steps, at in zip(
-                plan.input_variables, scenario.inputs.T, at_edges.T, strict=False
+                plan.input_variables, scenario.inputs.T, at_edges, strict=False
             )
             # In continuous time no others may be set.
             if variable.kind in REAL_KINDS and variable.variability == "continuous"

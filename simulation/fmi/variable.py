@@ -162,7 +162,7 @@ class FmuVariable:
     @property
     def _limits(self) -> tuple[int, int]:
         limits = np.iinfo(self.dtype)
-        return int(limits.min), int(limits.max)
+        return limits.min, limits.max
 
 
 @dataclass(frozen=True)

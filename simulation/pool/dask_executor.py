@@ -15,8 +15,6 @@ try:
 except ImportError:
     raise InputError("--dask: Dask is not installed; pip install 'pelsvae-studies[dask]'") from None
 
-# Dask is typed in parts.
-_connect: Any = Client
 _CONNECT_S = 15.0  # half of Dask's own default: a wrong address is found out soon
 
 
@@ -36,7 +34,7 @@ class DaskExecutor(ClientExecutor):
             InputError: If no scheduler answers there.
         """
         try:
-            client = _connect(address, timeout=_CONNECT_S, set_as_default=False)
+            client = Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             said = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"{address}: no Dask scheduler answers there ({said}); start one") from None

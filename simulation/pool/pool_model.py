@@ -147,7 +147,7 @@ class PoolModel:
         Raises:
             InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
         """
-        theta = self._checked(theta)
+        theta = self.parameter_space.rows(theta)
         y = np.empty((len(theta), len(self.time), len(self.output_names)))
         failures = np.full(len(theta), "", dtype=object)
         with closing(self.as_finished(theta)) as chunks:
@@ -169,7 +169,7 @@ class PoolModel:
         Raises:
             InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
         """
-        theta = self._checked(theta)
+        theta = self.parameter_space.rows(theta)
         batch = _Batch(self, theta)
         try:
             while batch.queue.n_waiting or batch.running:
@@ -194,13 +194,6 @@ class PoolModel:
         if self._threads is None:
             self._threads = ThreadPoolExecutor(self.n_workers, "simulate")
         return self._threads.submit(self._processes.simulate, theta, budget_s, self._slowest_s)
-
-    def _checked(self, theta: FloatArray) -> FloatArray:
-        theta = np.array(theta, dtype=np.float64)
-        n_parameters = self.parameter_space.n_parameters
-        if theta.ndim != 2 or theta.shape[1] != n_parameters:
-            raise ValueError(f"theta has shape {theta.shape}; expected (n, {n_parameters})")
-        return theta
 
     def _trajectories(self, theta: FloatArray, y: FloatArray, failures: tuple[str, ...]) -> Trajectories:
         names = self.parameter_space.names

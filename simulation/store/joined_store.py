@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Self
@@ -14,7 +14,7 @@ from simulation.errors import InputError
 from simulation.experiments import JoinedModel
 from simulation.layout import Experiment, Layout
 from simulation.pool.pool_model import PoolModel
-from simulation.store.store import BLOCK_BYTES, SimulationStore
+from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from simulation.whole_file import whole_file
@@ -34,9 +34,10 @@ class JoinedStore(SimulationStore):
             stores: Those of the experiments.
             layout: How their rows become one.
         """
-        self._file = Path(file)
+        self.file = Path(file)
         self.stores = tuple(stores)
         self.layout = layout
+        self.names, self.time = (layout.parameter_names, layout.output_names), layout.time
 
     @classmethod
     def at(cls, file: Path) -> Self:
@@ -103,7 +104,8 @@ class JoinedStore(SimulationStore):
         What an experiment has of its own is taken as it was written, beside others of the same shared values.
         """
         known: dict[bytes, list[FloatArray]] = {}
-        shared = self._shared
+        columns = [set(one.parameters.tolist()) for one in self.layout.experiments]
+        shared = sorted(set.intersection(*columns))
         for place, (one, store) in enumerate(zip(self.layout.experiments, self.stores, strict=True)):
             where = [int(np.flatnonzero(one.parameters == column)[0]) for column in shared]
             for theta in store.theta:
@@ -118,28 +120,23 @@ class JoinedStore(SimulationStore):
         return joined
 
     @property
-    def _shared(self) -> list[int]:
-        """Columns of the parameters that all experiments have."""
-        columns = [set(one.parameters.tolist()) for one in self.layout.experiments]
-        return sorted(set.intersection(*columns))
-
-    @property
     def n_written(self) -> int:
         """Number of the rows that were written, of all experiments."""
         return sum(store.n_written for store in self.stores)
 
+    def parts(self, theta: FloatArray) -> list[tuple[SimulationStore, FloatArray]]:
+        """Return each experiment's store and own parameters. Shapes (n, p) and (n, q). [per parameter]."""
+        parts = zip(self.layout.experiments, self.stores, strict=True)
+        return [(store, self.layout.theta_of(one, theta)) for one, store in parts]
+
     def find(self, theta: FloatArray, *, failed_after: int = 0) -> BoolArray:
         """Return which rows all experiments have, see `SimulationStore.find`."""
-        parts = zip(self.layout.experiments, self.stores, strict=True)
-        found = [
-            store.find(self.layout.theta_of(one, theta), failed_after=failed_after) for one, store in parts
-        ]
+        found = [store.find(own, failed_after=failed_after) for store, own in self.parts(theta)]
         return np.asarray(np.all(found, axis=0))
 
     def read(self, theta: FloatArray) -> Trajectories:
         """Read rows, see `SimulationStore.read`."""
-        parts = zip(self.layout.experiments, self.stores, strict=True)
-        answers = [store.read(self.layout.theta_of(one, theta)) for one, store in parts]
+        answers = [store.read(own) for store, own in self.parts(theta)]
         return self.layout.join(np.array(theta, dtype=np.float64), answers)
 
     def append(self, rows: Trajectories) -> None:
@@ -148,12 +145,6 @@ class JoinedStore(SimulationStore):
             parts = self.layout.part(one, rows, store.names, store.time)
             is_new = ~store.find(parts.theta) | (~store.find_good(parts.theta) & ~parts.failed)
             store.append(parts.take(is_new))
-
-    def stream(self, theta: FloatArray) -> Iterator[Trajectories]:
-        """Read rows block by block, in bounded memory, see `SimulationStore.stream`."""
-        size = max(1, BLOCK_BYTES // max(1, 8 * len(self.layout.time) * len(self.layout.output_names)))
-        for start in range(0, len(theta), size):
-            yield self.read(theta[start : start + size])
 
     def close(self) -> None:
         """Close the stores."""
@@ -200,11 +191,12 @@ class StoredExperiments(StoredModel):
         return range(len(self._joined_store.stores))
 
     def _missing(self, place: int, theta: FloatArray) -> BoolArray:
-        one, store = self._joined_store.layout.experiments[place], self._joined_store.stores[place]
-        own = self._joined_store.layout.theta_of(one, theta)
+        store, own = self._joined_store.parts(theta)[place]
         return ~store.find(own, failed_after=self._retry[place])
 
-    def complete(self, theta: FloatArray, *, on_progress: Callable[[int], None] | None = None) -> None:
+    def complete(
+        self, theta: FloatArray, *, on_progress: Callable[[int], None] = lambda n_done: None
+    ) -> None:
         """Simulate what is not stored, and store each part of a row as it finishes.
 
         Args:
@@ -227,14 +219,14 @@ class StoredExperiments(StoredModel):
         """
         theta = np.array(theta, dtype=np.float64)
         self._complete(theta, {place: self._missing(place, theta)})
-        store, one = self._joined_store.stores[place], self._joined_store.layout.experiments[place]
-        return store.read(self._joined_store.layout.theta_of(one, theta))
+        store, own = self._joined_store.parts(theta)[place]
+        return store.read(own)
 
     def _complete(
         self,
         theta: FloatArray,
         lacking: Mapping[int, BoolArray],
-        on_progress: Callable[[int], None] | None = None,
+        on_progress: Callable[[int], None] = lambda n_done: None,
     ) -> None:
         """Simulate and store the rows that experiments lack, by their places."""
         rows, wanted = self._joined.rows, list[FloatArray]()
@@ -245,10 +237,7 @@ class StoredExperiments(StoredModel):
             wanted.append(rows.rows(np.array([*parts.values()]).reshape(-1, theta.shape[1]), place))
         asked = np.concatenate(wanted)
         n_stored = len(theta) * len(lacking) - len(asked)
-        if on_progress is not None:
-            on_progress(n_stored // len(lacking))
-        if not len(asked):
-            return
+        on_progress(n_stored // len(lacking))
         pool = self._joined.model
         assert isinstance(pool, PoolModel), "rows of experiments come from a pool"
         with closing(pool.as_finished(asked)) as chunks:
@@ -258,5 +247,4 @@ class StoredExperiments(StoredModel):
                     part = rows.answer(chunk.take(answered == place), int(place))
                     self._joined_store.stores[place].append(part)
                 n_stored += chunk.n
-                if on_progress is not None:
-                    on_progress(n_stored // len(lacking))
+                on_progress(n_stored // len(lacking))

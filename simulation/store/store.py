@@ -50,6 +50,7 @@ class SimulationStore:
     Whatever SQLite complains of is a MachineError of one line.
 
     Attributes:
+        file: Where the rows lie.
         names: Names of the p parameters and of the k outputs.
         time: Output times. Shape (t,). [s]
     """
@@ -75,7 +76,7 @@ class SimulationStore:
         Raises:
             InputError: If the file belongs to another model or to another version of this program.
         """
-        self._file = Path(file)
+        self.file = Path(file)
         self.names = tuple(parameter_names), tuple(output_names)
         self.time = np.ascontiguousarray(time, dtype="<f8")
         self._model = zlib.crc32(model_digest.encode())
@@ -93,10 +94,10 @@ class SimulationStore:
             "outputs": json.dumps(output_names),
             "time_s": json.dumps(self.time.tolist()),
         }
-        if not self._file.exists():
-            _make(self._file, described, [*(f"{name} real" for name in parameters), *outputs])
-        _check_model(self._file, described)
-        self._database = _connect(self._file)
+        if not self.file.exists():
+            _make(self.file, described, [*(f"{name} real" for name in parameters), *outputs])
+        _check_model(self.file, described)
+        self._database = _connect(self.file)
 
     @classmethod
     def at(cls, file: Path) -> "SimulationStore":
@@ -121,14 +122,9 @@ class SimulationStore:
             )
 
     @property
-    def file(self) -> Path:
-        """Where the rows lie."""
-        return self._file
-
-    @property
     def theta(self) -> FloatArray:
         """Parameters of all rows, in the order of writing. Shape (n, p). [per parameter]."""
-        with _in_words(self._file):
+        with _in_words(self.file):
             rows = sorted(self._database.execute("select _id, _theta from simulations"))
         whole = np.frombuffer(b"".join(key for _, key in rows), dtype="<f8")
         return whole.reshape(len(rows), len(self.names[0])).astype(np.float64)
@@ -136,7 +132,7 @@ class SimulationStore:
     @property
     def n_written(self) -> int:
         """Number of the row that was written last, 0 for none."""
-        with _in_words(self._file):
+        with _in_words(self.file):
             found = self._database.execute("select max(_id) from simulations").fetchone()
         return int(found[0] or 0)
 
@@ -151,7 +147,7 @@ class SimulationStore:
             Shape (n,).
         """
         select = "select exists (select 1 from simulations where _theta = ? and (_id > ? or _failure = ''))"
-        with _in_words(self._file):
+        with _in_words(self.file):
             found = [self._database.execute(select, (key, failed_after)).fetchone() for key in _keys(theta)]
         return np.array(found, dtype=np.bool_).reshape(len(theta))
 
@@ -174,12 +170,12 @@ class SimulationStore:
         """
         keys, failures, damaged = _keys(theta), list[str](), set[bytes]()
         y = np.empty((len(keys), len(self.time), len(self.names[1])))
-        with _in_words(self._file):
+        with _in_words(self.file):
             for i, key in enumerate(keys):
                 found = self._database.execute(self._read, (key,)).fetchone()
                 if found is None:
                     n_missing = int((~self.find(theta)).sum())
-                    raise LookupError(f"{n_missing} of {len(keys)} rows are not in {self._file}")
+                    raise LookupError(f"{n_missing} of {len(keys)} rows are not in {self.file}")
                 check, failure, *outputs = found
                 if check != self._sum(key, failure, *outputs):
                     damaged.add(key)
@@ -191,7 +187,7 @@ class SimulationStore:
             with self._writing() as database:
                 database.executemany("delete from simulations where _theta = ?", [(key,) for key in damaged])
             raise MachineError(
-                f"{self._file}: {len(damaged)} of {len(keys)} simulations were damaged and are removed; type "
+                f"{self.file}: {len(damaged)} of {len(keys)} simulations were damaged and are removed; type "
                 "the command again to repeat them"
             )
         return Trajectories(np.array(theta, dtype=np.float64), y, self.time, *self.names, tuple(failures))
@@ -246,7 +242,7 @@ class SimulationStore:
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        with _in_words(self._file), self._database as database:
+        with _in_words(self.file), self._database as database:
             database.execute("begin immediate")
             yield database
 
