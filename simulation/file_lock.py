@@ -41,7 +41,7 @@ class FileLock:
             fcntl.flock(descriptor, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
-            if error.errno in _HELD:
+            if error.errno in _HELD and not waits:
                 return False
             raise MachineError(
                 f"{self._file}: this file system has no locks ({error.strerror}); work on a local disk"
