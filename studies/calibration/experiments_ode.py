@@ -69,11 +69,6 @@ class WatchedExperiments(WatchedModel):
         """Times of the outputs that are reported. Shape (t,). [s]."""
         return self._reported.time
 
-    @property
-    def experiments(self) -> tuple[Experiment, ...]:
-        """Where what belongs to each experiment stands."""
-        return self._reported.experiments
-
     def forget(self) -> None:
         """Forget what the states did."""
         for part in self.parts:

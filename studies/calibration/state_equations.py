@@ -293,10 +293,6 @@ class StateEquations:
         flow = SteppedFlow(self.signals, derivatives, rules)
         return replace(self, flow=flow, limits=limits)
 
-    def driven_by(self, driven: FloatArray) -> Self:
-        """Return the same equations with other inputs over the communication steps. Shape (m, q)."""
-        return self.with_signals(replace(self.signals, driven=driven))
-
     def with_signals(self, signals: StateSignals) -> Self:
         """Return the same equations where signals of the same names take another course."""
         flow = _flow(signals, self.structure)
@@ -337,7 +333,7 @@ class StateEquations:
             if not places:
                 unknown.append((here, there))
             for place in places:
-                start[place] = Coefficient.constant(there)
+                start[place] = Coefficient(0.0, there)
         moved = replace(self, start=tuple(start)).with_signals(signals)
         return (moved, unknown) if type(moved.flow) is type(self.flow) else None
 
