@@ -32,11 +32,7 @@ class Confirmation:
     """What has been tested since the last gain."""
 
     def __init__(self) -> None:
-        """Begin with nothing tested."""
-        self.begin_again()
-
-    def begin_again(self) -> None:
-        """Forget all tests, as where another error is minimized."""
+        """Begin with nothing tested, as where another error is minimized."""
         self._best = np.inf
         self._forget()
 
@@ -91,13 +87,16 @@ class Confirmation:
         """That all tests were in vain."""
         return f"{self.in_words} since the last gain of {SEARCH.confirmed:g} found no lower error"
 
-    def ending(self, *, switches: bool) -> Ending:
+    def ending(self, *, switches: bool, is_too_large: bool = False) -> Ending:
         """Return the end of a search that has made all tests and restarts.
 
         Args:
             switches: Whether the model switches at times that depend on its parameters: functions that are
                 drawn are smooth, and cannot promise what another number of switchings would gain.
+            is_too_large: Whether the error is above the misfit threshold.
         """
+        if is_too_large:
+            return Ending(f"{self.in_vain}, though it is more than the sensor explains", converged=False)
         # Four of six thermostats had said "converged" and were wrong (docs/calibration.md).
         if switches:
             return Ending(
@@ -127,11 +126,6 @@ class Confirmation:
             f"around the best point a gain of less than {ftol:g} of the error is expected, which {tests} and "
             f"{restarts} have confirmed; the next round would go on with these"
         )
-
-
-def too_large(confirmation: Confirmation) -> Ending:
-    """Return the end of a search whose error is above the misfit threshold."""
-    return Ending(f"{confirmation.in_vain}, though it is more than the sensor explains", converged=False)
 
 
 def still_falling(n: int, gained: float, expected: float) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 from math import comb
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -155,9 +155,9 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     some = spread(len(values), MOST_ROWS)
     table = values_of(products.powers, theta[some])
     # One product goes first: in a sum, a second one would only absorb its error (the same note).
-    judged = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
-    if judged[0].left < EXACT:
-        return judged[0].formula
+    left, formula = _judged(products.powers[[_single(table, values[some])]], theta, values)
+    if left < EXACT:
+        return formula
     # Resistances in series make a coefficient one over a sum, such as 1 / (R + S).
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
     table = table[:, : products.n_paired]
@@ -179,30 +179,23 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
         if not judged:
             break
         exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
-        best = min(judged, key=lambda one: one.left)
-        if best.left < (exact if n_summed == 2 else EXACT_OF_LONG):
-            return best.formula
+        left, formula = min(judged, key=lambda one: one[0])
+        if left < (exact if n_summed == 2 else EXACT_OF_LONG):
+            return formula
     return None
-
-
-class _Judged(NamedTuple):
-    """A formula and what it leaves of weighted values, see `_left`."""
-
-    formula: ProductSum
-    left: float
 
 
 def _judged(
     powers: IntArray, theta: FloatArray, values: FloatArray, *, is_reciprocal: bool = False
-) -> _Judged:
-    """Fit amounts of products to values, and judge what they leave."""
+) -> tuple[float, ProductSum]:
+    """Fit amounts of products to values; return what they leave, see `_left`, and the formula."""
     weight = _weight(values)
     columns = values_of(powers, theta) * weight[:, None]
     norms = np.sqrt(np.square(columns).sum(axis=0))
     # Products of different units differ by decades; columns of length 1 make the fit well conditioned.
     amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
     left = _left(columns @ amounts - values * weight, values * weight, weight)
-    return _Judged(ProductSum(amounts, powers, is_reciprocal), left)
+    return left, ProductSum(amounts, powers, is_reciprocal)
 
 
 def _weight(values: FloatArray) -> FloatArray:
