@@ -86,7 +86,7 @@ class AdaptiveSearch:
         self._rng = rng
         self._u = self._unasked = np.empty((0, p))
         self._objective = np.empty(0)
-        self._residuals = np.empty((0, 0))
+        self._residuals = np.empty((0, problem.measurement.n_samples))
         self._penalty = np.empty(0)
         self._window = TruncatedWindow(problem.measurement)
         # None until a search has shown whether it explains enough.
@@ -564,14 +564,12 @@ class AdaptiveSearch:
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._keep(answer)
         if self._window.is_whole:
-            self._confirmation.note_best(float(self._objective.min()))
+            self._confirmation = self._confirmation.after(float(self._objective.min()))
 
     def _keep(self, answer: Evaluation) -> None:
         """Take rows among those that the search learns from."""
         self._u = np.concatenate([self._u, answer.u])
-        # The first rows show how many residuals there are: an empty array takes that width.
-        earlier = self._residuals.reshape(self._penalty.size, answer.residuals.shape[1])
-        self._residuals = np.concatenate([earlier, answer.residuals])
+        self._residuals = np.concatenate([self._residuals, answer.residuals])
         penalty = np.full(answer.n, np.inf)
         good = np.isfinite(answer.mse)
         # The prior's part, apart from the error: a window changes the error alone.

@@ -7,7 +7,7 @@ has converged where the minima of these functions promise next to no gain; else 
 they promise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,38 +28,38 @@ class Ending:
     converged: bool
 
 
+@dataclass
 class Confirmation:
-    """What has been tested since the last gain."""
+    """What has been tested since the last gain.
 
-    def __init__(self) -> None:
-        """Begin with nothing tested, as where another error is minimized."""
-        self._best = np.inf
-        self._forget()
+    Attributes:
+        best: Best objective at that gain. [unit squared]
+        n_restarts: Restarts since then.
+        gains: Of every round of tests the relative gains at minima of functions drawn for it. [1]
+    """
 
-    def _forget(self) -> None:
-        self._gains: list[FloatArray] = []
-        self.n_restarts = 0
+    best: float = np.inf
+    n_restarts: int = 0
+    gains: list[FloatArray] = field(default_factory=list)
 
-    def note_best(self, best: float) -> None:
-        """Take note of the best objective; what was tested before a gain does not count. [unit squared]."""
-        # `_best` moves at such a gain alone, so that many small gains together count as one.
-        if best < (1.0 - SEARCH.confirmed) * self._best:
-            self._best = best
-            self._forget()
+    def after(self, best: float) -> "Confirmation":
+        """Return what counts with a best objective: nothing that was tested before a gain. [unit squared]."""
+        # `best` moves at such a gain alone, so that many small gains together count as one.
+        return Confirmation(best) if best < (1.0 - SEARCH.confirmed) * self.best else self
 
     def note_test(self, gains: FloatArray) -> None:
-        """Take note of a round of tests and the relative gains at minima of functions drawn for it. [1]."""
-        self._gains.append(gains)
+        """Take note of a round of tests."""
+        self.gains.append(gains)
 
     @property
     def n_tested(self) -> int:
         """Rounds of tests."""
-        return len(self._gains)
+        return len(self.gains)
 
     @property
     def promised(self) -> float:
         """Gain over the best row at minima of functions that may be the true one, a quantile. [1]."""
-        return float(np.quantile(self._gains, SEARCH.quantile)) if self._gains else np.inf
+        return float(np.quantile(self.gains, SEARCH.quantile)) if self.gains else np.inf
 
     @property
     def is_promising(self) -> bool:

@@ -60,10 +60,6 @@ class Belief(NamedTuple):
         mean, deviation = np.array([LENGTH_PRIOR] * n_features + [SLOPE_PRIOR, noise]).T
         return cls(mean, deviation, N_INDEPENDENT)
 
-    def around(self, hyper: FloatArray, closer: float, n_independent: float) -> Self:
-        """Return a prior around known hyperparameters, with `closer` times the deviations."""
-        return self._replace(mean=hyper, deviation=closer * self.deviation, n_independent=n_independent)
-
 
 def kernel_matrix(
     x: FloatArray, hyper: FloatArray, looseness: FloatArray
