@@ -404,11 +404,9 @@ class StateEquations:
 
     def reach(self, points: Points) -> tuple[FloatArray, FloatArray]:
         """Return the least and the greatest value of every state at points. Shapes (n, s). [FMU's units]."""
-        found = [
-            (states.min(axis=1), states.max(axis=1))
-            for states in (self._states(piece) for piece in self._pieces(points))
-        ]
-        return np.concatenate([least for least, _ in found]), np.concatenate([most for _, most in found])
+        found = [(x.min(axis=1), x.max(axis=1)) for x in map(self._states, self._pieces(points))]
+        least, greatest = (np.concatenate(ends) for ends in zip(*found, strict=True))
+        return least, greatest
 
     def _pieces(self, points: Points) -> Iterator[Points]:
         """Yield points in pieces of so many that the states of a long simulation fit into memory."""
