@@ -15,7 +15,7 @@ from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.box_newton import Expansion
 from studies.calibration.coefficient import LEAST_TO_LEARN
 from studies.calibration.confirmation import least_unlikely
-from studies.calibration.ending import Confirmation, Ending, still_falling, too_large
+from studies.calibration.ending import Confirmation, Ending, still_falling
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import first_points
@@ -27,7 +27,7 @@ from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Features
 from studies.calibration.restart import farther_along, least_excluded
-from studies.calibration.row_choice import missing_of_design
+from studies.calibration.row_choice import n_apart
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.search_settings import SearchSettings
 from studies.calibration.truncated_window import TruncatedWindow
@@ -86,7 +86,7 @@ class AdaptiveSearch:
         self._rng = rng
         self._u = self._unasked = np.empty((0, p))
         self._objective = np.empty(0)
-        self._residuals = np.empty((0, 0))
+        self._residuals = np.empty((0, problem.measurement.n_samples))
         self._penalty = np.empty(0)
         self._window = TruncatedWindow(problem.measurement)
         # None until a search has shown whether it explains enough.
@@ -109,7 +109,7 @@ class AdaptiveSearch:
             recorder.know(known)
             self._keep(known)
             self._n_known = known.n
-            n_design = missing_of_design(known, n_design)
+            n_design = max(n_design - n_apart(known.u[np.isfinite(known.objective)]), 0)
             if not n_design:
                 # Rows all over the box may show a better valley than that of the best row.
                 self._radius = 1.0
@@ -140,7 +140,7 @@ class AdaptiveSearch:
         n_good = np.isfinite(self._objective).sum()
         # A process needs two rows that succeeded.
         if n_good < 2 and self._believed is None:
-            return self._ask_anywhere
+            return partial(self._ask, self._rng.random((self._settings.n_parallel, self._p)))
         if not n_good:
             return self._ask_by_equations
         if self._network is not None:
@@ -271,10 +271,6 @@ class AdaptiveSearch:
         self._ask(point[None])
         self._phase.lowest.append(self._phase_best)
 
-    def _ask_anywhere(self) -> None:
-        """Ask a round of random rows."""
-        self._ask(self._rng.random((self._settings.n_parallel, self._p)))
-
     def _beyond_rows(self, ode: LearnedODE) -> Callable[[], None] | None:
         """Return what may show that the model does more than equations know, None for nothing."""
         n = math.ceil(SEARCH.n_probes / self._settings.n_parallel) * self._settings.n_parallel
@@ -345,7 +341,7 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present window and begin a search phase at the best."""
         self._judge()
-        self._confirmation.begin_again()
+        self._confirmation = Confirmation()
         self._phase, self._radius = SearchPhase(), SEARCH.radius
 
     def _judge(self) -> None:
@@ -457,9 +453,7 @@ class AdaptiveSearch:
     @property
     def _ending(self) -> Ending:
         """Why a search by processes ends that expects nothing more."""
-        if self._is_too_large:
-            return too_large(self._confirmation)
-        return self._confirmation.ending(switches=self._switches)
+        return self._confirmation.ending(switches=self._switches, is_too_large=self._is_too_large)
 
     @property
     def _ending_by_equations(self) -> Ending:
@@ -570,14 +564,12 @@ class AdaptiveSearch:
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._keep(answer)
         if self._window.is_whole:
-            self._confirmation.note_best(float(self._objective.min()))
+            self._confirmation = self._confirmation.after(float(self._objective.min()))
 
     def _keep(self, answer: Evaluation) -> None:
         """Take rows among those that the search learns from."""
         self._u = np.concatenate([self._u, answer.u])
-        # The first rows show how many residuals there are: an empty array takes that width.
-        earlier = self._residuals.reshape(self._penalty.size, answer.residuals.shape[1])
-        self._residuals = np.concatenate([earlier, answer.residuals])
+        self._residuals = np.concatenate([self._residuals, answer.residuals])
         penalty = np.full(answer.n, np.inf)
         good = np.isfinite(answer.mse)
         # The prior's part, apart from the error: a window changes the error alone.

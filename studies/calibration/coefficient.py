@@ -104,11 +104,6 @@ class Coefficient:
         (numbers, left), kind = min(sums, key=lambda one: one[0][1])
         return cls(kind, numbers[0], slopes=numbers[1:]) if left < EXACT else None
 
-    @classmethod
-    def constant(cls, value: float) -> Self:
-        """Return a coefficient that is the same all over the box."""
-        return cls(0.0, value)
-
     @property
     def fixed_value(self) -> float | None:
         """What it is all over the box, None where it depends on a parameter."""

@@ -7,7 +7,7 @@ has converged where the minima of these functions promise next to no gain; else 
 they promise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,42 +28,38 @@ class Ending:
     converged: bool
 
 
+@dataclass
 class Confirmation:
-    """What has been tested since the last gain."""
+    """What has been tested since the last gain.
 
-    def __init__(self) -> None:
-        """Begin with nothing tested."""
-        self.begin_again()
+    Attributes:
+        best: Best objective at that gain. [unit squared]
+        n_restarts: Restarts since then.
+        gains: Of every round of tests the relative gains at minima of functions drawn for it. [1]
+    """
 
-    def begin_again(self) -> None:
-        """Forget all tests, as where another error is minimized."""
-        self._best = np.inf
-        self._forget()
+    best: float = np.inf
+    n_restarts: int = 0
+    gains: list[FloatArray] = field(default_factory=list)
 
-    def _forget(self) -> None:
-        self._gains: list[FloatArray] = []
-        self.n_restarts = 0
-
-    def note_best(self, best: float) -> None:
-        """Take note of the best objective; what was tested before a gain does not count. [unit squared]."""
-        # `_best` moves at such a gain alone, so that many small gains together count as one.
-        if best < (1.0 - SEARCH.confirmed) * self._best:
-            self._best = best
-            self._forget()
+    def after(self, best: float) -> "Confirmation":
+        """Return what counts with a best objective: nothing that was tested before a gain. [unit squared]."""
+        # `best` moves at such a gain alone, so that many small gains together count as one.
+        return Confirmation(best) if best < (1.0 - SEARCH.confirmed) * self.best else self
 
     def note_test(self, gains: FloatArray) -> None:
-        """Take note of a round of tests and the relative gains at minima of functions drawn for it. [1]."""
-        self._gains.append(gains)
+        """Take note of a round of tests."""
+        self.gains.append(gains)
 
     @property
     def n_tested(self) -> int:
         """Rounds of tests."""
-        return len(self._gains)
+        return len(self.gains)
 
     @property
     def promised(self) -> float:
         """Gain over the best row at minima of functions that may be the true one, a quantile. [1]."""
-        return float(np.quantile(self._gains, SEARCH.quantile)) if self._gains else np.inf
+        return float(np.quantile(self.gains, SEARCH.quantile)) if self.gains else np.inf
 
     @property
     def is_promising(self) -> bool:
@@ -91,13 +87,16 @@ class Confirmation:
         """That all tests were in vain."""
         return f"{self.in_words} since the last gain of {SEARCH.confirmed:g} found no lower error"
 
-    def ending(self, *, switches: bool) -> Ending:
+    def ending(self, *, switches: bool, is_too_large: bool = False) -> Ending:
         """Return the end of a search that has made all tests and restarts.
 
         Args:
             switches: Whether the model switches at times that depend on its parameters: functions that are
                 drawn are smooth, and cannot promise what another number of switchings would gain.
+            is_too_large: Whether the error is above the misfit threshold.
         """
+        if is_too_large:
+            return Ending(f"{self.in_vain}, though it is more than the sensor explains", converged=False)
         # Four of six thermostats had said "converged" and were wrong (docs/calibration.md).
         if switches:
             return Ending(
@@ -127,11 +126,6 @@ class Confirmation:
             f"around the best point a gain of less than {ftol:g} of the error is expected, which {tests} and "
             f"{restarts} have confirmed; the next round would go on with these"
         )
-
-
-def too_large(confirmation: Confirmation) -> Ending:
-    """Return the end of a search whose error is above the misfit threshold."""
-    return Ending(f"{confirmation.in_vain}, though it is more than the sensor explains", converged=False)
 
 
 def still_falling(n: int, gained: float, expected: float) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import FloatArray
 from simulation.layout import Layout
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
@@ -48,14 +48,13 @@ class EquationModel:
         """
         space, theta = self.parameter_space, np.asarray(theta, dtype=np.float64)
         y = self.equations.outputs(Points.of(space, space.to_unit(theta)))
-        is_good: BoolArray = np.asarray(np.isfinite(y).all(axis=(1, 2)))
         return Trajectories.checked(
             theta,
             y,
             time=self.time,
             parameter_names=space.names,
             output_names=self.output_names,
-            failures=["" if good else "the state equations run away" for good in is_good],
+            failures=["" if np.isfinite(row).all() else "the state equations run away" for row in y],
         )
 
 

@@ -43,7 +43,7 @@ class WatchedExperiments(WatchedModel):
         model: ForwardModel,
         watched: Layout,
         reported: Layout,
-        parts: Sequence[tuple[ParameterSpace, tuple[str, ...], FloatArray, StateSignals]],
+        parts: Sequence[WatchedModel],
     ) -> None:
         """Wrap a model.
 
@@ -51,13 +51,11 @@ class WatchedExperiments(WatchedModel):
             model: The experiments with all that is watched.
             watched: How its rows are made.
             reported: How the outputs alone become rows.
-            parts: Of each experiment its parameters, the variables and times that are watched, and what is
-                known of its states.
+            parts: What is watched of each experiment.
         """
         self._model = model
         self._layout, self._reported = watched, reported
-        self.parts = tuple(WatchedModel(_Part(*part[:3]), part[3]) for part in parts)
-        self.signals = self.parts[0].signals
+        self.parts, self.signals = parts, parts[0].signals
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -68,11 +66,6 @@ class WatchedExperiments(WatchedModel):
     def time(self) -> FloatArray:
         """Times of the outputs that are reported. Shape (t,). [s]."""
         return self._reported.time
-
-    @property
-    def experiments(self) -> tuple[Experiment, ...]:
-        """Where what belongs to each experiment stands."""
-        return self._reported.experiments
 
     def forget(self) -> None:
         """Forget what the states did."""
@@ -131,6 +124,7 @@ class ExperimentsODE(LearnedODE):
         ]
         self._parts = [LearnedODE(model.signals, model.seen, own) for model, own in parts]
         self._layout, self._cases, self._model = layout, cases, model
+        self._of_each = list(zip(layout.experiments, self._parts, strict=True))
         self._n_shown = [0] * len(parts)
 
     @property
@@ -166,14 +160,14 @@ class ExperimentsODE(LearnedODE):
     def left_out(self) -> BoolArray:
         """Which parameters are in no equation of any experiment. Shape (p,)."""
         is_out = np.ones(self._problem.space.n_parameters, dtype=np.bool_)
-        for one, part in zip(self._layout.experiments, self._parts, strict=True):
+        for one, part in self._of_each:
             is_out[one.parameters] &= part.left_out
         return is_out if self.is_learnt else np.zeros_like(is_out)
 
     def unseen(self, u: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
         """Return points where an experiment's equations may act that no row has shown, see `LearnedODE`."""
         by_experiment = []
-        for one, part in zip(self._layout.experiments, self._parts, strict=True):
+        for one, part in self._of_each:
             points = np.tile(u, (n, 1))
             points[:, one.parameters] = part.unseen(u[one.parameters], n, rng)
             by_experiment.append(points)
@@ -195,8 +189,8 @@ class ExperimentsODE(LearnedODE):
         )
         known = list[int]()
         for place in order:
-            leads = (leader for leader in known if self._follows(place, leader, u))
-            if next(leads, None) is None and not self._learn_in(place, u):
+            is_led = any(self._follows(place, leader, u) for leader in known)
+            if not is_led and not self._learn_in(place, u):
                 break
             known.append(place)
         return math.ceil(self.n_alone / len(self._parts))
@@ -257,7 +251,7 @@ class ExperimentsODE(LearnedODE):
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked, each experiment from its part."""
         self.n_asked += self.predicted is not None
-        for one, part in zip(self._layout.experiments, self._parts, strict=True):
+        for one, part in self._of_each:
             part.predicted = self.predicted
             # What was simulated alone is no news in a whole row.
             if (is_new := ~part.knows(answer.u[:, one.parameters])).any():
@@ -267,12 +261,8 @@ class ExperimentsODE(LearnedODE):
         self._answered = np.concatenate([self._answered, answer.residuals[good]])
         self.predicted = None
         self.misfit = max(part.misfit for part in self._parts)
-        lacking = [
-            f"experiment {one.name}: {part.why_not}"
-            for one, part in zip(self._layout.experiments, self._parts, strict=True)
-            if not part.is_learnt
-        ]
-        self.why_not = next(iter(lacking), "")
+        lacking = ((one.name, part.why_not) for one, part in self._of_each if not part.is_learnt)
+        self.why_not = next((f"experiment {name}: {why}" for name, why in lacking), "")
 
     def _of(
         self, one: Experiment, problem: CalibrationProblem, answer: Evaluation, rows: IntArray
@@ -296,7 +286,7 @@ class ExperimentsODE(LearnedODE):
         measurement = self._problem.measurement
         y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
         with np.errstate(all="ignore"):
-            for one, part in zip(self._layout.experiments, self._parts, strict=True):
+            for one, part in self._of_each:
                 n = min(n_outputs or one.n_times, one.n_times)
                 y[:, :n, one.outputs] = part.outputs(u[:, one.parameters], None if n == one.n_times else n)
             return measurement.compared(y)
@@ -314,7 +304,9 @@ def watched_model(case: Case, model: ForwardModel) -> WatchedModel:
     with_states = watching_states(case)
     assert with_states.layout is not None, "as the case has one"
     parts = [
-        (one.parameter_space, more.settings.output_names, more.scenario.time, StateSignals.of(one))
+        WatchedModel(
+            _Part(one.parameter_space, more.settings.output_names, more.scenario.time), StateSignals.of(one)
+        )
         for one, more in zip(case.experiments, with_states.experiments, strict=True)
     ]
     return WatchedExperiments(model, with_states.layout, case.layout, parts)

@@ -1,22 +1,10 @@
 """Compiled steps of equations: Runge-Kutta steps with changes of switches, and steps of linear equations."""
 
-from typing import Final
-
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.fmi.call import compiled
 
-# Functions of a term, by their number; state_terms.FUNCTIONS has them for arrays.
-NUMBERS: Final = {
-    "": 0,
-    "root": 1,
-    "square": 2,
-    "natural convection": 3,
-    "magnitude": 4,
-    "sine": 5,
-    "cosine": 6,
-}
 # Changes within a step beyond which a switch never comes to rest, and guesses at the time of one.
 MOST_CHANGES, MOST_GUESSES = 100, 60
 # A change is found to this part of a step. Rounding.
@@ -61,7 +49,7 @@ def _fill(into: FloatArray, value: float) -> None:
 
 @compiled
 def _bent(function: int, value: float) -> float:
-    """Take a function of a value."""
+    """Take a function of a value, by its place from 1 on in `state_terms.FUNCTIONS`."""
     size = abs(value)
     if function == 1:
         return float(np.sqrt(size) if value >= 0.0 else -np.sqrt(size))
@@ -171,7 +159,7 @@ def steps(
         driven: Inputs, constant over each communication step. Shape (m, q).
         ends: Position after every derivative's last term. Shape (s,).
         places: Of every term where the value is, where what is subtracted from it is, the number of the
-            function, and where its factors are: among states, inputs, 1 and 0. Shape (f, 3 + factors).
+            function or 0, and where its factors are: among states, inputs, 1 and 0. Shape (f, 3 + factors).
         step_s: Communication step. [s]
         n_parts: Steps in it.
         every: Communication steps from one output to the next.

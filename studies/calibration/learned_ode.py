@@ -8,6 +8,7 @@ so closely that more of them would add nothing.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -372,7 +373,7 @@ class LearnedODE:
             for one in range(signals.n_hidden):
                 for other in course.others(one):
                     driven = np.concatenate([signals.driven[:, :n_declared], other.driven], axis=1)
-                    changed = equations.driven_by(driven)
+                    changed = equations.with_signals(replace(signals, driven=driven))
                     missed = changed.missed(points, x)
                     if missed < CLEARLY * least:
                         equations, course, least = changed, other, missed
@@ -451,8 +452,6 @@ class LearnedODE:
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         measurement = self._problem.measurement
-        if n_outputs is None:
-            return measurement.compared(self.outputs(u))
         y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
         y[:, :n_outputs] = self.outputs(u, n_outputs)
         return measurement.compared(y)

@@ -36,8 +36,7 @@ class NetworkForm:
         inputs: What drives the network.
         places: Of every coupling, as `network_steps.steps` takes them. Shape (e, 4).
         makes: Which of the q elements make a coupling: conductance or gain 1, capacity -1. Shape (e, q).
-        n_states: States; the outputs are the first ones.
-        n_outputs: Outputs.
+        n_outputs: Outputs, the first states.
         is_free: Which powers and factors there are, of the q elements and s starts. Shape (q + s, 1 + p).
         mean: The most probable ones beforehand, constants in the first column. Shape (q + s, 1 + p).
         precision: Inverse variances. Shape (q + s, 1 + p).
@@ -50,7 +49,6 @@ class NetworkForm:
     inputs: NetworkInputs
     places: IntArray
     makes: FloatArray
-    n_states: int
     n_outputs: int
     is_free: BoolArray
     mean: FloatArray
@@ -106,7 +104,6 @@ class NetworkForm:
             inputs,
             np.array(places, dtype=np.int64),
             makes,
-            s,
             n_outputs,
             is_free,
             mean,

@@ -59,7 +59,6 @@ class HiddenNetwork:
         self._n_vain = 0
         self._nearness = 0.0
         self._n_proposed = 0
-        self._is_given_up = False
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
@@ -79,13 +78,12 @@ class HiddenNetwork:
         self._objective = np.concatenate([self._objective, answer.objective[good]])
 
     def propose(self, n: int) -> FloatArray | None:
-        """Return the points to ask next, None where it has none to propose any more. Shape (n, p). [1].
+        """Return the points to ask next, None where it gives up and is asked no more. Shape (n, p). [1].
 
         Args:
             n: Points.
         """
-        if self._is_given_up or self._n_vain >= N_VAIN or not self._learn():
-            self._is_given_up = True
+        if self._n_vain >= N_VAIN or not self._learn():
             return None
         p = self._u.shape[1]
         looks = self._rng.random((N_LOOKS, p))
@@ -113,7 +111,6 @@ class HiddenNetwork:
             if len(points) < n and is_better:
                 points = np.concatenate([points, end[None]])
         if not len(points):
-            self._is_given_up = True
             return None
         beside = self._rng.uniform(-BESIDE, BESIDE, (n - len(points), p))
         self._n_proposed += 1

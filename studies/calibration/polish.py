@@ -153,10 +153,8 @@ class _Search:
         self._space = problem.space
         self._prior = problem.prior
         self._search_space = _linear(problem.space) if is_squared else problem.space
-        self._last: tuple[FloatArray, Evaluation] | None = None
+        self._last = None if known is None else (self.to_search(known.u[0]), known)
         self._accepted: FloatArray | None = None
-        if known is not None:
-            self._last = (self.to_search(known.u[0]), known)
         self.slopes: FloatArray | None = None
 
     def to_search(self, u: FloatArray) -> FloatArray:
@@ -209,7 +207,7 @@ class _Search:
         here = self._form(self.evaluate_at(v).residuals[0])
         # Backward at an upper face, so that no difference leaves the box.
         steps = np.where(v + DIFFERENCE_STEP > 1.0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
-        moved = self._differences(v, steps)
+        moved = self._differences(v, steps, list(range(v.size)))
         failed = np.flatnonzero(~np.all(np.isfinite(moved), axis=1))
         other_side = [int(i) for i in failed if 0.0 <= v[i] - steps[i] <= 1.0]
         if other_side:
@@ -225,10 +223,8 @@ class _Search:
         exact = self._prior.row_slopes(slopes.shape[1])
         return np.concatenate([slopes.T, np.diag(np.where(is_stuck, 0.0, exact))])
 
-    def _differences(self, v: FloatArray, steps: FloatArray, which: list[int] | None = None) -> FloatArray:
-        rows = v + np.diag(steps)
-        if which is not None:
-            rows = rows[which]
+    def _differences(self, v: FloatArray, steps: FloatArray, which: list[int]) -> FloatArray:
+        rows = (v + np.diag(steps))[which]
         return self._form(self._recorder.evaluate(self.from_search(rows)).residuals)
 
     def _form(self, residuals: FloatArray) -> FloatArray:

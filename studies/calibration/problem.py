@@ -159,7 +159,3 @@ class CalibrationProblem:
     def mse(self, u: FloatArray) -> FloatArray:
         """Return the mean squared error, infinite where a row failed. Shape (n,). [unit squared]."""
         return self.evaluate(u).mse
-
-    def objective(self, u: FloatArray) -> FloatArray:
-        """Return what is minimized, infinite where a row failed. Shape (n,). [unit squared]."""
-        return self.evaluate(u).objective

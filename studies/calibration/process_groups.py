@@ -105,7 +105,8 @@ class ProcessGroups:
         hyper = [hyper_of(components, belief, 0)]
         for place, group in enumerate(groups, start=1):
             n_independent = min(PER_COMPONENT * group.level.size, N_INDEPENDENT)
-            hyper.append(hyper_of(group, belief.around(hyper[0], CLOSER, n_independent), place))
+            closer = Belief(hyper[0], CLOSER * belief.deviation, n_independent)
+            hyper.append(hyper_of(group, closer, place))
         through = zip(groups, hyper[1:], strict=True)
         processes = tuple(ResidualProcess.through(features, x, group, own) for group, own in through)
         return cls(processes, tuple(hyper))

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 from math import comb
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.state_terms import spread
+from studies.calibration.term_choice import explained_by_pairs
 
 # Weighted squares, as a share of those around the mean, below which a formula is exact. Sums of two are so
 # many that with few rows some would fit the errors of one product: there, the second counts.
@@ -155,9 +156,9 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     some = spread(len(values), MOST_ROWS)
     table = values_of(products.powers, theta[some])
     # One product goes first: in a sum, a second one would only absorb its error (the same note).
-    judged = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
-    if judged[0].left < EXACT:
-        return judged[0].formula
+    left, formula = _judged(products.powers[[_single(table, values[some])]], theta, values)
+    if left < EXACT:
+        return formula
     # Resistances in series make a coefficient one over a sum, such as 1 / (R + S).
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
     table = table[:, : products.n_paired]
@@ -179,43 +180,35 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
         if not judged:
             break
         exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
-        best = min(judged, key=lambda one: one.left)
-        if best.left < (exact if n_summed == 2 else EXACT_OF_LONG):
-            return best.formula
+        left, formula = min(judged, key=lambda one: one[0])
+        if left < (exact if n_summed == 2 else EXACT_OF_LONG):
+            return formula
     return None
-
-
-class _Judged(NamedTuple):
-    """A formula and what it leaves of weighted values, see `_left`."""
-
-    formula: ProductSum
-    left: float
 
 
 def _judged(
     powers: IntArray, theta: FloatArray, values: FloatArray, *, is_reciprocal: bool = False
-) -> _Judged:
-    """Fit amounts of products to values, and judge what they leave."""
+) -> tuple[float, ProductSum]:
+    """Fit amounts of products to values; return what they leave, and the formula.
+
+    They leave squared errors, as a share of what a constant leaves, all weighted.
+    """
     weight = _weight(values)
-    columns = values_of(powers, theta) * weight[:, None]
+    columns, goal = values_of(powers, theta) * weight[:, None], values * weight
     norms = np.sqrt(np.square(columns).sum(axis=0))
     # Products of different units differ by decades; columns of length 1 make the fit well conditioned.
-    amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
-    left = _left(columns @ amounts - values * weight, values * weight, weight)
-    return _Judged(ProductSum(amounts, powers, is_reciprocal), left)
+    amounts = np.linalg.lstsq(columns / norms, goal, rcond=None)[0] / norms
+    error = columns @ amounts - goal
+    # Weighted, a constant is the weight itself: its projection is what a constant explains.
+    around = goal - weight * (weight @ goal) / (weight @ weight)
+    left = float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
+    return left, ProductSum(amounts, powers, is_reciprocal)
 
 
 def _weight(values: FloatArray) -> FloatArray:
     # Errors count relative to each row, as coefficients vary a hundredfold over a box (the same note).
     weight: FloatArray = 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
     return weight
-
-
-def _left(error: FloatArray, values: FloatArray, weight: FloatArray) -> float:
-    """Return squared errors as a share of what a constant leaves, all weighted. [1]."""
-    # Weighted, a constant is the weight itself: its projection is what a constant explains.
-    around = values - weight * (weight @ values) / (weight @ weight)
-    return float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
 
 
 def _single(table: FloatArray, values: FloatArray) -> int:
@@ -228,14 +221,9 @@ def _single(table: FloatArray, values: FloatArray) -> int:
 
 def _pairs(table: FloatArray, values: FloatArray) -> FloatArray:
     """Return what all pairs of columns (n, m) of length 1 explain of values (n,). Shape (m, m)."""
-    cosines, along = table.T @ table, values @ table
-    sines = 1.0 - cosines**2
-    # Squares that two columns of length 1 explain together:
-    # (a² + b² - 2 a b c) / (1 - c²), c being their cosine.
-    both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
-    explained = np.where(sines > SAME_PRODUCT, both / np.maximum(sines, SAME_PRODUCT), -np.inf)
+    explained = explained_by_pairs(table, values @ table, alike=-np.inf)
     # Each pair once, and no column with itself.
-    return np.asarray(np.where(np.tri(len(cosines), dtype=np.bool_), -np.inf, explained))
+    return np.where(np.tri(len(explained), dtype=np.bool_), -np.inf, explained)
 
 
 def _longer(table: FloatArray, values: FloatArray, beginnings: IntArray) -> FloatArray:

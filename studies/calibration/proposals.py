@@ -69,11 +69,13 @@ def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> 
     """
     centre, points, expansions = surroundings.centre, list[FloatArray](), list[Expansion]()
     for rank in range(n):
-        lower, upper = surroundings.box(_radius(surroundings.radius, rank))
+        lower, upper = surroundings.box(min(surroundings.radius * (1.0, 0.5, 2.0)[rank % 3], 1.0))
+        # Half decades, by turns less and more than the favourite's: a round has bold and careful points.
+        caution = float(SEARCH.caution * 10.0 ** (0.5 * ((rank + 1) // 2) * (-1.0) ** rank))
         # Descents from the next best rows cost 3 to 9 % more calls
         # (docs/notes/adaptive-search.md, Rounds of several points).
         starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
-        expand = partial(surroundings.expand, caution=_caution(rank))
+        expand = partial(surroundings.expand, caution=caution)
         ends = [descend(expand, start, lower, upper) for start in starts]
         u, expected = min(ends, key=lambda end: end[1].value)
         known = np.array([*surroundings.known, *points])
@@ -83,16 +85,6 @@ def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> 
         points.append(u)
         expansions.append(expected)
     return np.array(points), expansions[0]
-
-
-def _radius(radius: float, rank: int) -> float:
-    return radius if rank == 0 else min(radius * (1.0, 0.5, 2.0)[rank % 3], 1.0)
-
-
-def _caution(rank: int) -> float:
-    # Half decades, by turns less and more than the favourite's: a round has bold and careful points.
-    decades = 0.5 * ((rank + 1) // 2) * (-1.0) ** rank
-    return float(SEARCH.caution * 10.0**decades)
 
 
 def informative(

@@ -177,13 +177,15 @@ class Recorder:
         """
         evaluation = self.problem.evaluate(u)
         self.know(evaluation)
-        if self._on_progress is not None:
-            self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
+        self._report()
         return evaluation
 
     def pay(self, n_rows: int) -> None:
         """Count rows that were asked in another way; a negative number gives them back."""
         self._counter.pay(n_rows)
+        self._report()
+
+    def _report(self) -> None:
         if self._on_progress is not None:
             self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
 

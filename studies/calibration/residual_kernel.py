@@ -8,7 +8,6 @@ Lengths, slope a and noise are the most probable ones; the amplitude is profiled
 whatever the number of residuals.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -61,33 +60,28 @@ class Belief(NamedTuple):
         mean, deviation = np.array([LENGTH_PRIOR] * n_features + [SLOPE_PRIOR, noise]).T
         return cls(mean, deviation, N_INDEPENDENT)
 
-    def around(self, hyper: FloatArray, closer: float, n_independent: float) -> Self:
-        """Return a prior around known hyperparameters, with `closer` times the deviations."""
-        return self._replace(mean=hyper, deviation=closer * self.deviation, n_independent=n_independent)
 
+def kernel_matrix(
+    x: FloatArray, hyper: FloatArray, looseness: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the kernel matrix of a design with its noise, its bumps and its linear part. Shapes (n, n).
 
-@dataclass(frozen=True, eq=False)
-class KernelMatrix:
-    """The kernel matrix of a design and its parts."""
-
-    matrix: FloatArray
-    bumps: FloatArray
-    linear: FloatArray
-
-    @classmethod
-    def of(cls, x: FloatArray, hyper: FloatArray, looseness: FloatArray) -> Self:
-        """Compute it: points (n, f), hyperparameters (f + 2,), factors of the rows' noise variances (n,)."""
-        scaled = x * np.exp(-hyper[:-2])
-        # Distances as |a|² + |b|² - 2 <a, b>: one matrix product, which the linear part needs anyway.
-        products = scaled @ scaled.T
-        squares = np.diag(products)
-        # With rounding, equal points may have a negative distance.
-        distances = np.maximum(squares[:, None] + squares[None] - 2.0 * products, 0.0)
-        bumps = np.exp(-0.5 * distances)
-        linear = np.exp(2.0 * hyper[-2]) * products
-        matrix = CONSTANT + bumps + linear
-        noise = np.exp(2.0 * hyper[-1]) * looseness + JITTER * float(np.trace(matrix))
-        return cls(matrix + np.diag(noise), bumps, linear)
+    Args:
+        x: Points. Shape (n, f). [1]
+        hyper: Hyperparameters. Shape (f + 2,). [1]
+        looseness: Factors of the rows' noise variances. Shape (n,). [1]
+    """
+    scaled = x * np.exp(-hyper[:-2])
+    # Distances as |a|² + |b|² - 2 <a, b>: one matrix product, which the linear part needs anyway.
+    products = scaled @ scaled.T
+    squares = np.diag(products)
+    # With rounding, equal points may have a negative distance.
+    distances = np.maximum(squares[:, None] + squares[None] - 2.0 * products, 0.0)
+    bumps = np.exp(-0.5 * distances)
+    linear = np.exp(2.0 * hyper[-2]) * products
+    matrix = CONSTANT + bumps + linear
+    noise = np.exp(2.0 * hyper[-1]) * looseness + JITTER * float(np.trace(matrix))
+    return matrix + np.diag(noise), bumps, linear
 
 
 def between(x: FloatArray, others: FloatArray, hyper: FloatArray) -> FloatArray:
@@ -146,8 +140,8 @@ def _negative_log_likelihood(
 ) -> tuple[float, FloatArray]:
     """Return -log p of the residuals' Gram matrix, amplitude profiled out, and its gradient."""
     n = len(x)
-    kernel = KernelMatrix.of(x, hyper, looseness)
-    factor = inverse_factor(kernel.matrix)
+    matrix, bumps, linear = kernel_matrix(x, hyper, looseness)
+    factor = inverse_factor(matrix)
     inverse = factor.T @ factor
     explained = inverse @ gram
     trace = float(np.trace(explained))
@@ -157,11 +151,11 @@ def _negative_log_likelihood(
     # d value / d kernel matrix
     slopes = 0.5 * n_independent * (inverse - (n / trace) * (explained @ inverse))
     gradient = np.empty(hyper.size)
-    bumps = slopes * kernel.bumps
+    bumps = slopes * bumps
     # With S symmetric, sum S_ij (x_i - x_j)² = 2 (sum s_i x_i² - x' S x): two products serve all lengths.
     mixed = (bumps + np.exp(2.0 * hyper[-2]) * slopes) @ x
     gradient[:-2] = 2.0 * np.exp(-2.0 * hyper[:-2]) * (bumps.sum(axis=1) @ (x**2) - (x * mixed).sum(axis=0))
-    gradient[-2] = 2.0 * (slopes * kernel.linear).sum()
+    gradient[-2] = 2.0 * (slopes * linear).sum()
     gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * (np.diag(slopes) * looseness).sum()
     return value, gradient
 

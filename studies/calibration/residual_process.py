@@ -18,9 +18,9 @@ from studies.calibration.box_newton import Expansion
 from studies.calibration.residual_kernel import (
     CONSTANT,
     Belief,
-    KernelMatrix,
     between,
     inverse_factor,
+    kernel_matrix,
     most_probable,
 )
 
@@ -190,7 +190,7 @@ class ResidualProcess:
     @classmethod
     def through(cls, features: Features, x: FloatArray, components: Components, hyper: FloatArray) -> Self:
         """Return the process with known hyperparameters (f + 2,) through components of rows at x (n, f)."""
-        factor = inverse_factor(KernelMatrix.of(x, hyper, components.looseness).matrix)
+        factor = inverse_factor(kernel_matrix(x, hyper, components.looseness)[0])
         coefficients = factor.T @ (factor @ components.values)
         m = components.best.size
         # The most probable amplitude in closed form: the trace of
@@ -255,5 +255,4 @@ class ResidualProcess:
         """Return what the rows leave of the covariance of a residual at points (n, p). Shape (n, n)."""
         x = self.features.at(u)
         known = self.inverse_factor @ between(self.x, x, self.hyper)
-        covariance: FloatArray = self.variance * (between(x, x, self.hyper) - known.T @ known)
-        return covariance
+        return self.variance * (between(x, x, self.hyper) - known.T @ known)

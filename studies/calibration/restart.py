@@ -29,12 +29,10 @@ def farther_along(expand: Expand, shape: tuple[int, int], rng: np.random.Generat
         The minima. Shape as asked. [1]
     """
     cautious = partial(expand, caution=SEARCH.caution)
-    away = SEARCH.away
-    ends = [
-        descend(cautious, u, np.maximum(u - away, 0.0), np.minimum(u + away, 1.0))
-        for u in inside(rng.random(shape))
-    ]
-    return np.array([u for u, _ in ends])
+    away, starts = SEARCH.away, inside(rng.random(shape))
+    return np.array(
+        [descend(cautious, u, np.maximum(u - away, 0.0), np.minimum(u + away, 1.0))[0] for u in starts]
+    )
 
 
 def least_excluded(

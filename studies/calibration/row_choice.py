@@ -3,7 +3,6 @@
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
-from studies.calibration.problem import Evaluation
 
 N_BEST, N_FAR = 200, 50
 """The best rows say where the optimum is, some far from all others where it is not. The surrogate's cost
@@ -36,11 +35,6 @@ def best_and_far(u: FloatArray, worth: FloatArray) -> IntArray:
         # alone (Gonzalez 1985, doi:10.1016/0304-3975(85)90224-5).
         distance = np.minimum(distance, np.abs(points - points[place]).max(axis=1))
     return np.array(kept, dtype=np.int64)
-
-
-def missing_of_design(known: Evaluation, n_start: int) -> int:
-    """Return how many of a first design's `n_start` rows are left to ask beside those that are known."""
-    return max(n_start - n_apart(known.u[np.isfinite(known.objective)]), 0)
 
 
 def n_apart(u: FloatArray) -> int:

@@ -293,10 +293,6 @@ class StateEquations:
         flow = SteppedFlow(self.signals, derivatives, rules)
         return replace(self, flow=flow, limits=limits)
 
-    def driven_by(self, driven: FloatArray) -> Self:
-        """Return the same equations with other inputs over the communication steps. Shape (m, q)."""
-        return self.with_signals(replace(self.signals, driven=driven))
-
     def with_signals(self, signals: StateSignals) -> Self:
         """Return the same equations where signals of the same names take another course."""
         flow = _flow(signals, self.structure)
@@ -337,7 +333,7 @@ class StateEquations:
             if not places:
                 unknown.append((here, there))
             for place in places:
-                start[place] = Coefficient.constant(there)
+                start[place] = Coefficient(0.0, there)
         moved = replace(self, start=tuple(start)).with_signals(signals)
         return (moved, unknown) if type(moved.flow) is type(self.flow) else None
 
@@ -408,11 +404,9 @@ class StateEquations:
 
     def reach(self, points: Points) -> tuple[FloatArray, FloatArray]:
         """Return the least and the greatest value of every state at points. Shapes (n, s). [FMU's units]."""
-        found = [
-            (states.min(axis=1), states.max(axis=1))
-            for states in (self._states(piece) for piece in self._pieces(points))
-        ]
-        return np.concatenate([least for least, _ in found]), np.concatenate([most for _, most in found])
+        found = [(x.min(axis=1), x.max(axis=1)) for x in map(self._states, self._pieces(points))]
+        least, greatest = (np.concatenate(ends) for ends in zip(*found, strict=True))
+        return least, greatest
 
     def _pieces(self, points: Points) -> Iterator[Points]:
         """Yield points in pieces of so many that the states of a long simulation fit into memory."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.pool.pool_model import available_cores
-from studies.calibration.state_terms import Sum
+from studies.calibration.state_terms import FUNCTIONS, Sum
 from studies.calibration.states import StateSignals
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
@@ -227,8 +227,7 @@ class SteppedFlow:
 
     def _places(self) -> IntArray:
         """Return of every term where its parts are; see `flow_steps.steps`."""
-        from studies.calibration.flow_steps import NUMBERS
-
+        functions = ("", *FUNCTIONS)
         terms = [(one.own, term) for one in self.sums for term in one.terms]
         # Behind the inputs stand a 1 and a 0: with these, every term is a difference times as many factors.
         nothing = len(self.signals.states) + len(self.signals.inputs) + 1
@@ -237,7 +236,7 @@ class SteppedFlow:
             (
                 term.column if term.column >= 0 else one,
                 own if term.is_difference else nothing,
-                NUMBERS[term.function],
+                functions.index(term.function),
                 *term.factors,
                 *[one] * (most - len(term.factors)),
             )

@@ -186,20 +186,14 @@ def watching_states(case: Case) -> Case:
     signals, settings = StateSignals.of(case), case.settings
     named = (*signals.states, *signals.derivatives, *signals.locals)
     watched = tuple(name for name in named if name not in settings.output_names)
-    n = len(watched)
-
-    def longer(values: FloatArray | None, value: float) -> FloatArray | None:
-        if values is None:
-            return None
-        return np.concatenate([values, np.full((n, *values.shape[1:]), value)])
-
+    n, factors = len(watched), settings.output_factors
     scenario = replace(case.scenario, n_warmup=case.scenario.n_warmup - signals.n_before)
     answering = replace(
         settings,
         scenario=scenario,
         output_names=(*settings.output_names, *watched),
         output_offsets=np.concatenate([settings.output_offsets, np.zeros(n)]),
-        output_factors=longer(settings.output_factors, 1.0),
+        output_factors=None if factors is None else np.concatenate([factors, np.ones(n)]),
         # It holds for what is reported, not for states nor for a warm-up that is watched.
         accepted=None,
         is_watched=True,

@@ -7,7 +7,7 @@ window. Functions that are smooth in the parameters, as the surrogate's are, say
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import FloatArray
 from studies.calibration.search_constants import SEARCH
 
 
@@ -34,15 +34,11 @@ def switches(trajectories: FloatArray) -> bool:
     # As on an oscillator (docs/notes/adaptive-search.md, Models that switch, later in version 0.3).
     if 2 * len(kinked) < n:
         return False
+    # Which part of the kinks of one trajectory another one lacks.
     shares = [
-        _share_lacked(near[other], bends[one], is_kink[one])
+        np.mean(near[other, is_kink[one]] < SEARCH.same_kink * bends[one, is_kink[one]])
         for one in kinked
         for other in range(n)
         if other != one
     ]
     return bool(np.median(shares) >= SEARCH.moved)
-
-
-def _share_lacked(near: FloatArray, bends: FloatArray, is_kink: BoolArray) -> float:
-    """Return which part of the kinks of one trajectory another one lacks. [1]."""
-    return float(np.mean(near[is_kink] < SEARCH.same_kink * bends[is_kink]))

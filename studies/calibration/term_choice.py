@@ -20,7 +20,7 @@ from studies.calibration.state_terms import Term
 COMPLETE = 1e-16
 # Above, they are looked for once more.
 NEARLY_COMPLETE = 1e-14
-# Squared sine between two terms below which they are one.
+# Squared sine between two columns below which they are one.
 SAME_TERM = 1e-10
 # A term without which less than this is left is none.
 NEEDLESS = 1e-10
@@ -152,15 +152,25 @@ def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
     explained = np.zeros((values.shape[2],) * 2)
     for columns, goal in zip(values, target, strict=True):
         along = goal @ columns / np.sqrt(goal @ goal + np.finfo(float).tiny)
-        cosines = columns.T @ columns
-        # Squares that two columns of length 1 explain together:
-        # (a² + b² - 2 a b c) / (1 - c²), c being their cosine.
-        both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
-        squares = 1.0 - cosines**2
-        share = np.where(squares > SAME_TERM, both / np.maximum(squares, SAME_TERM), 0.0)
+        share = explained_by_pairs(columns, along, alike=0.0)
         explained += np.nan_to_num(np.minimum(share, 1.0), nan=0.0)
     first, second = np.unravel_index(int(np.argmax(explained)), explained.shape)
     return [int(first), int(second)] if explained[first, second] > 0.0 else []
+
+
+def explained_by_pairs(columns: FloatArray, along: FloatArray, *, alike: float) -> FloatArray:
+    """Return the squares that all pairs of columns of length 1 explain together. Shape (f, f).
+
+    Args:
+        columns: Shape (t, f).
+        along: Products of the columns and what is explained. Shape (f,).
+        alike: What counts as explained by two that are one.
+    """
+    cosines = columns.T @ columns
+    sines = 1.0 - cosines**2
+    # (a² + b² - 2 a b c) / (1 - c²), c being their cosine.
+    both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
+    return np.where(sines > SAME_TERM, both / np.maximum(sines, SAME_TERM), alike)
 
 
 class Fit(NamedTuple):

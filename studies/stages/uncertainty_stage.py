@@ -204,8 +204,8 @@ def _result(
             n=n,
             n_effective=found.n_effective,
             is_trusted=found.n_effective >= TRUSTED * n,
-            best_mse=found.best_mse,
-            best_theta=space.named(space.from_unit(found.best_u)),
+            best_mse=float(found.best.mse[0]),
+            best_theta=space.named(space.from_unit(found.best.u[0])),
         ),
         outputs={
             output: Covered(

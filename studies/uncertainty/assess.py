@@ -33,6 +33,7 @@ from studies.uncertainty.sample import (
     Sampling,
     agrees,
     decimals_for,
+    most_probable,
     simulated,
 )
 
@@ -249,10 +250,8 @@ def sample_with(
     drawn, ratios = simulated(recorder.evaluate, posterior, density, u, settings.n_batch, differs)
     if differs(ratios):
         return None, drawn
-    every = joined([known, drawn])
-    best = int(np.argmax(posterior.at(every.u, every.mse)))
-    mse = float(every.mse[best])
-    return PosteriorSample(drawn, ratios, particles, recorder.n_calls, every.u[best], mse), drawn
+    best = most_probable(posterior, joined([known, drawn]))
+    return PosteriorSample(drawn, ratios, particles, recorder.n_calls, best), drawn
 
 
 def _valleys(

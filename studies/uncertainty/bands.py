@@ -77,5 +77,4 @@ def _noisy_quantile(y: FloatArray, weights: FloatArray, noise: FloatArray, share
         # The distribution function of the mixture rises everywhere, so halving cannot fail.
         below = np.tensordot(weights, ndtr((middle - y) / noise), axes=1)
         low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
-    found: FloatArray = 0.5 * (low + high)
-    return found
+    return 0.5 * (low + high)

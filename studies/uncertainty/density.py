@@ -148,8 +148,7 @@ class Predicted:
         # Where the process is unsure its slopes count less, as if the noise were larger there.
         roots = np.sqrt(deviation**2 + variance[:, None] * self._shared)
         jacobian = np.swapaxes(by_u, 1, 2) @ self._coefficients / roots[:, None, :]
-        found: FloatArray = jacobian @ np.swapaxes(jacobian, 1, 2)
-        return found
+        return jacobian @ np.swapaxes(jacobian, 1, 2)
 
     def log_likelihood(self, u: FloatArray, deviation: float, caution: float = 1.0) -> FloatArray:
         """Return the logarithm of the expected likelihood, but for the model's constant.

@@ -127,7 +127,8 @@ def difference_rows(u: FloatArray, step: float) -> FloatArray:
     """
     # At a bound the difference is one-sided, as nothing says that the model answers beyond it.
     ahead, behind = np.minimum(u + step, 1.0), np.maximum(u - step, 0.0)
-    return np.concatenate([u[None], _moved(u, ahead), _moved(u, behind)])
+    is_moved = np.eye(len(u), dtype=np.bool_)
+    return np.concatenate([u[None], np.where(is_moved, ahead, u), np.where(is_moved, behind, u)])
 
 
 def judged(
@@ -196,13 +197,6 @@ def judged_slopes(
         is_unknown=np.zeros(p, dtype=np.bool_),
         null=null,
     )
-
-
-def _moved(u: FloatArray, to: FloatArray) -> FloatArray:
-    """Return a row per parameter in which that one alone has moved. Shape (p, p)."""
-    rows = np.tile(u, (len(u), 1))
-    np.fill_diagonal(rows, to)
-    return rows
 
 
 def _slopes(answer: Evaluation) -> FloatArray:

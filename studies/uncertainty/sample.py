@@ -89,16 +89,14 @@ class PosteriorSample:
         particles: Points of equal weight on the last surrogate, which knows every simulated row, or on the
             emulator. Shape (s, p). [1]
         n_calls: Rows asked of the model.
-        best_u: The most probable row of all, asked or known before. Shape (p,). [1]
-        best_mse: Its error. [first output's unit squared]
+        best: The most probable row of all, asked or known before.
     """
 
     drawn: Evaluation
     log_ratios: FloatArray
     particles: FloatArray
     n_calls: int
-    best_u: FloatArray
-    best_mse: float
+    best: Evaluation
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -147,7 +145,7 @@ class PosteriorSampler:
         self._recorder, self._posterior, self._settings = recorder, posterior, settings
         self._features = Features.of(recorder.problem.space)
         self._rng = np.random.default_rng(seed)
-        self._u, self._mse, self._residuals = known.u, known.mse, known.residuals
+        self._rows = known
         self._hyper: FloatArray | None = None
         self._decimals = DECIMALS
         self._is_bounded = False
@@ -170,10 +168,8 @@ class PosteriorSampler:
             n_last = self._settings.n_particles
             # Intervals are of these: they know the last batch too, and are many enough for the tails.
             last = self._particles(*self._learn(n_last), n_last)
-        density = self._posterior.at(self._u, self._mse)
-        best = int(np.argmax(density))
-        n_calls = self._recorder.n_calls
-        return PosteriorSample(drawn, ratios, last, n_calls, self._u[best], float(self._mse[best]))
+        best = most_probable(self._posterior, self._rows)
+        return PosteriorSample(drawn, ratios, last, self._recorder.n_calls, best)
 
     def _learn(self, n_particles: int) -> tuple[Expected, Reference]:
         """Fit the process to what is known.
@@ -184,26 +180,27 @@ class PosteriorSampler:
         Returns:
             The density that it expects, and where a sample of it begins.
         """
-        density = self._posterior.at(self._u, self._mse)
-        rows = informative_rows(self._u, density, self._n_known)
+        known = self._rows
+        density = self._posterior.at(known.u, known.mse)
+        rows = informative_rows(known.u, density, self._n_known)
         # From the last hyperparameters: few rows are new since, so few iterations are needed.
-        process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
+        process = ResidualProcess.fit(self._features, known.u[rows], known.residuals[rows], self._hyper)
         self._hyper = process.hyper
         predicted = Predicted(process)
         raised = self._posterior.noise.raised
-        narrowest = self._posterior.precision(predicted.metric(self._u[rows[:1]], raised), wider=1.0)
+        narrowest = self._posterior.precision(predicted.metric(known.u[rows[:1]], raised), wider=1.0)
         self._decimals = decimals_for(float(np.sqrt(np.diagonal(narrowest[0]).max())))
         # A narrow region that no even start finds is not lost as long as a row lies in it.
-        good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
-        known, failed = self._u, ~np.isfinite(self._mse)
+        good = known.u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
+        failed = ~np.isfinite(known.mse)
 
         def expected(u: FloatArray, caution: float = 1.0) -> FloatArray:
             # Failed rows have no residuals to teach the process: 94 to 96 of 96 failed at an edge.
             value: FloatArray = self._posterior.by(predicted, u, caution=caution)
-            return value + log_success(u, known, failed, narrowest[0])
+            return value + log_success(u, known.u, failed, narrowest[0])
 
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
-        anywhere = self._particles(expected, Reference.even(self._u.shape[1]), n_particles)
+        anywhere = self._particles(expected, Reference.even(known.u.shape[1]), n_particles)
         centres = np.concatenate([good, anywhere[:MOST_CENTRES]])
         precision = self._posterior.precision(predicted.metric(centres, raised), wider=WIDER)
         roots = np.asarray(np.linalg.cholesky(np.linalg.inv(precision)), dtype=np.float64)
@@ -225,7 +222,7 @@ class PosteriorSampler:
         wider = [self._particles(partial(expected, caution=caution), around, n) for caution in FARTHER]
         u = np.round(np.concatenate([particles[:n_each] for particles in wider]), self._decimals)
         # Before they are asked, as asking adds them to the rows of which the best is taken.
-        before, best = expected(u), float(self._posterior.at(self._u, self._mse).max())
+        before, best = expected(u), float(self._posterior.at(self._rows.u, self._rows.mse).max())
         found = self._posterior.at(u, self._ask(u).mse)
         self._is_bounded = not bool(np.any((found > best - MORE) & (found > before + SURPRISE)))
         return not self._is_bounded
@@ -262,9 +259,7 @@ class PosteriorSampler:
 
     def _ask(self, u: FloatArray) -> Evaluation:
         answer = self._recorder.evaluate(u)
-        self._u = np.concatenate([self._u, answer.u])
-        self._mse = np.concatenate([self._mse, answer.mse])
-        self._residuals = np.concatenate([self._residuals, answer.residuals])
+        self._rows = joined([self._rows, answer])
         return answer
 
 
@@ -297,6 +292,11 @@ def simulated(
         if is_given_up(ratios):
             break
     return joined(parts), ratios
+
+
+def most_probable(posterior: Posterior, rows: Evaluation) -> Evaluation:
+    """Return the one of some rows that has the greatest density."""
+    return rows.take(int(np.argmax(posterior.at(rows.u, rows.mse))))
 
 
 def agrees(ratios: FloatArray, n_batch: int) -> bool:
