@@ -328,9 +328,11 @@ class ParameterTable(Table):
         """
         belief = None
         if self.prior is not None:
-            # One of each is there, which was seen to.
             centre = self.estimate if self.prior.about is None else self.prior.about
-            belief = Belief(centre or 0.0, self.prior.within or self.prior.within_factor or 0.0)
+            width = self.prior.within or self.prior.within_factor
+            assert centre is not None, "its validator saw to that"
+            assert width is not None, "its validator saw to that"
+            belief = Belief(centre, width)
         return Parameter(**self.model_dump(exclude={"prior", "per_experiment"}), prior=belief)
 
 

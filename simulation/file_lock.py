@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import os
+import time
 from pathlib import Path
 
 from simulation.errors import MachineError
@@ -25,11 +26,8 @@ class FileLock:
         self._file = file
         self._descriptor: int | None = None
 
-    def try_acquire(self, *, waits: bool = False) -> bool:
+    def try_acquire(self) -> bool:
         """Take the lock if no other process is in the way; return whether it is held now.
-
-        Args:
-            waits: Whether to wait for another process until the lock is free.
 
         Raises:
             MachineError: If there are no locks where the file lies.
@@ -38,10 +36,10 @@ class FileLock:
             self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
-            if error.errno in _HELD and not waits:
+            if error.errno in _HELD:
                 return False
             raise MachineError(
                 f"{self._file}: this file system has no locks ({error.strerror}); work on a local disk"
@@ -56,7 +54,10 @@ class FileLock:
 
     def acquire(self) -> None:
         """Wait until the lock is held."""
-        self.try_acquire(waits=True)
+        wait_s = 0.0005
+        while not self.try_acquire():
+            time.sleep(wait_s)
+            wait_s = min(2.0 * wait_s, 0.02)
 
     def release(self) -> None:
         """Give the lock back; without effect where it is not held."""

@@ -43,7 +43,7 @@ class Confirmation:
     gains: list[FloatArray] = field(default_factory=list)
 
     def after(self, best: float) -> "Confirmation":
-        """Return what counts with a best objective: nothing that was tested before a gain. [unit squared]."""
+        """Return the tests that still count at a lowest objective [unit squared]: none made before a gain."""
         # `best` moves at such a gain alone, so that many small gains together count as one.
         return Confirmation(best) if best < (1.0 - SEARCH.confirmed) * self.best else self
 

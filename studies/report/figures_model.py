@@ -104,7 +104,7 @@ def sensitivity_figure(found: SobolIndices) -> Figure:
             name = f"{kind}, {shortened(output)}{undefined}"
             panels.append(Panel(name, axis, Axis("share of the variance [1]"), series))
     caption = (
-        f"From {count(found.n_calls, 'simulation')} of the FMU; the six largest are shown. "
+        f"From {count(found.n_calls, 'simulation')} of the FMU; the {len(SERIES)} largest are shown. "
         "What the first orders miss to 1 are interactions."
     )
     return Figure("Sobol indices over time", tuple(panels), shows_names=True, caption=caption)

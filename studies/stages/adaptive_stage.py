@@ -231,9 +231,12 @@ def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
     Raises:
         InputError: the user wants it, and the FMU does not show its states.
     """
-    for one in (case.experiments or (case,)) if wish else ():
-        StateSignals.of(one)
-    return not why_unwatched(case) if wish is None else wish
+    if wish is None:
+        return not why_unwatched(case)
+    for one in case.experiments or (case,):
+        if wish:
+            StateSignals.of(one)
+    return wish
 
 
 def learned_ode_of(case: Case, physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:

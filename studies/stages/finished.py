@@ -33,7 +33,7 @@ def stored_uncertainties(study: Study) -> Iterator[Outcome[Uncertainty]]:
 
 
 def stored(study: Study, stage: str, kind: type[T]) -> T | None:
-    """Return what a stage came to for this case, whatever it was measured with; None where there is nothing.
+    """Return the stored result of a stage of this case, with any measurement; None where there is none.
 
     Args:
         study: the study.

@@ -3,8 +3,6 @@
 import functools
 import json
 import math
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -94,5 +92,7 @@ def read_arrays(file: Path) -> Arrays:
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+    except OSError:
+        raise
+    except Exception:  # damaged bytes reach the readers of zip files, of headers and of arrays
         raise InputError(f"{file} is damaged; remove it and repeat its command") from None

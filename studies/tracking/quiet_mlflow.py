@@ -31,7 +31,7 @@ def connect(uri: str) -> mlflow.MlflowClient:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # MLflow's registry asks clients of its own, which know the process's store alone.
-        # It would also go into the environment, and another environment needs another fork server.
+        # MLflow also writes the URI into the environment, and another environment needs another fork server.
         with environment_restored():
             mlflow.set_tracking_uri(uri)
         client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)

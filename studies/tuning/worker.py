@@ -189,11 +189,11 @@ class Worker:
             end_run(self._runs, run_id, trial)
 
 
-def run_studies(paths: ProjectPaths, names: Sequence[str], until_s: float | None) -> int:
+def run_studies(paths: ProjectPaths | None, names: Sequence[str], until_s: float | None) -> int:
     """Run the trials of studies; the last line of standard error says why it could not.
 
     Args:
-        paths: the project.
+        paths: the project; None for that of the working folder.
         names: names of the studies.
         until_s: no trial begins after this moment. [s since 1970, UTC]
 
@@ -202,7 +202,7 @@ def run_studies(paths: ProjectPaths, names: Sequence[str], until_s: float | None
     """
     try:
         for name in names:
-            Worker(paths, name).run(until_s=until_s)
+            Worker(paths or find_project(None), name).run(until_s=until_s)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -215,7 +215,7 @@ def main() -> int:
     parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
     parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
     chosen = parser.parse_args()
-    return run_studies(find_project(None), chosen.studies, chosen.until)
+    return run_studies(None, chosen.studies, chosen.until)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from project_for_tests import Answer, Run, edit
 
@@ -139,9 +140,11 @@ def test_a_gpu_that_is_not_there_is_refused(project: Path, studies: Run) -> None
 
 def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "calibrate-n0064.npz"
-    file.write_bytes(b"no archive" * 100)
-    with pytest.raises(InputError, match=r"npz is damaged; remove it and repeat its command"):
-        read_arrays(file)
+    np.save(file.with_suffix(".npy"), np.zeros(3))
+    for content in (b"no archive" * 100, file.with_suffix(".npy").read_bytes()):
+        file.write_bytes(content)
+        with pytest.raises(InputError, match=r"npz is damaged; remove it and repeat its command"):
+            read_arrays(file)
 
 
 def fail_while_interrupted() -> None:

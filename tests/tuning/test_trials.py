@@ -25,7 +25,7 @@ from studies.paths import ProjectPaths
 from studies.tuning.declaration import Declaration
 from studies.tuning.study_results import read_studies, read_study
 from studies.tuning.tune_studies import closed_studies, tune
-from studies.tuning.worker import Worker
+from studies.tuning.worker import Worker, main
 
 FINISHED = {"COMPLETE", "PRUNED", "FAIL"}
 
@@ -34,6 +34,16 @@ def prepared(paths: ProjectPaths, spec: Declaration, n_trials: int) -> Worker:
     """Make a study and a worker for it in this process: a process's start takes seconds."""
     tune([spec], paths=paths, n_trials=n_trials, n_jobs=1, until_s=0.0)
     return Worker(paths, spec.name)
+
+
+def test_a_worker_without_a_project_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("STUDIES_ROOT", "/nowhere")
+    monkeypatch.setattr("sys.argv", ["worker", "office-quick/n0032"])
+    assert main() == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "/nowhere" in line
 
 
 def test_every_study_reaches_its_trials(tuned: ProjectPaths) -> None:
