@@ -30,7 +30,7 @@ from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.fmi.variable import Value
 from simulation.layout import MARK, Experiment, Layout, joined_measurement
-from simulation.measurement import Measurement
+from simulation.measurement import MeasuredOutput, Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
@@ -38,21 +38,6 @@ from simulation.time_unit import DAY_S
 
 _CHOSEN = ("relative_tolerance", "accepted", "parameter_factors", "parameter_offsets")
 """Settings that decide what a model answers; None is as usual."""
-
-
-@dataclass(frozen=True)
-class Output:
-    """An output that is compared with a measurement.
-
-    Attributes:
-        name: The FMU's variable.
-        unit: Unit of the measurement and of every trajectory.
-        uncertainty: Uncertainty of the sensor. [unit]
-    """
-
-    name: str
-    unit: str
-    uncertainty: float
 
 
 @dataclass(frozen=True)
@@ -83,7 +68,6 @@ class Case:
         parameter_space: Parameters to calibrate, in the units of the case file.
         scenario: Inputs from the start of the simulation to the end of the reported part.
         measurement: Measured outputs over the window.
-        outputs: The outputs.
         window_d: Compared part, in days of the case file. [d]
         communication_step_s: Step over which inputs are constant. [s]
         output_step_s: Step of the outputs. [s]
@@ -109,7 +93,6 @@ class Case:
     parameter_space: ParameterSpace
     scenario: Scenario
     measurement: Measurement
-    outputs: tuple[Output, ...]
     window_d: tuple[float, float]
     communication_step_s: float
     output_step_s: float
@@ -122,6 +105,11 @@ class Case:
     experiments: "tuple[Case, ...]" = ()
     layout: Layout | None = None
     experiment: str = ""
+
+    @property
+    def outputs(self) -> tuple[MeasuredOutput, ...]:
+        """The outputs, with what was measured of them over the window."""
+        return self.measurement.outputs
 
     @property
     def interface(self) -> str:
@@ -318,8 +306,10 @@ def _single(
         if later is not None:
             # Errors of both periods are comparable: what normalizes outputs is that of the calibrated one.
             validation = _compared_over(path, stepped, fmu, data, later)
-            same = replace(validation.measurement, weights=case.measurement.weights)
-            case = replace(case, validation=replace(validation, measurement=same))
+            pairs = zip(validation.measurement.outputs, case.measurement.outputs, strict=True)
+            outputs = tuple(replace(one, weight=calibrated.weight) for one, calibrated in pairs)
+            measurement = replace(validation.measurement, outputs=outputs)
+            case = replace(case, validation=replace(validation, measurement=measurement))
     return case
 
 
@@ -377,26 +367,19 @@ def _joined(
     if len(steps_s) > 1:
         steps = ", ".join(f"{step:g}" for step in sorted(steps_s))
         raise InputError(f"experiments have output steps of {steps} s; give all the same output_step_s")
-    longest = max((one.measurement.time for one in members), key=len)
     experiments, n_before = list[Experiment](), 0
     for one, case in zip(read, members, strict=True):
-        names, n_outputs = case.parameter_space.names, len(case.outputs)
-        where = np.array([columns[one.name, name] for name in names], dtype=np.int64)
-        places = np.arange(n_before, n_before + n_outputs)
-        experiments.append(Experiment(one.name, where, places, len(case.measurement.time)))
-        n_before += n_outputs
-    outputs = tuple(
-        replace(output, name=f"{output.name}{MARK}{one.name}")
-        for one, case in zip(read, members, strict=True)
-        for output in case.outputs
-    )
-    layout = Layout(space.names, tuple(one.name for one in outputs), longest - longest[0], tuple(experiments))
-    weights = [one.weight for one in read]
+        own = [columns[one.name, name] for name in case.parameter_space.names]
+        places = np.arange(n_before, n_before + len(case.outputs))
+        n_times = len(case.measurement.time)
+        experiments.append(Experiment(one.name, np.array(own, dtype=np.int64), places, n_times))
+        n_before += len(case.outputs)
+    measurement = joined_measurement([(one.name, cases[one.name].measurement, one.weight) for one in read])
+    layout = Layout(space.names, measurement.output_names, measurement.time, tuple(experiments))
     return replace(
         first,
         parameter_space=space,
-        measurement=joined_measurement(layout, [one.measurement for one in members], weights),
-        outputs=outputs,
+        measurement=measurement,
         window_d=(0.0, float(layout.time[-1]) / DAY_S),
         references=(),
         experiments=tuple(members),
@@ -453,7 +436,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         parameter_space=space,
         scenario=scenario,
         measurement=measurement,
-        outputs=tuple(Output(table.name, table.unit, table.uncertainty) for table in file.outputs),
         window_d=period.compared_d,
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,

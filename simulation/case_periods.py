@@ -10,7 +10,7 @@ from simulation.case_data import CaseData
 from simulation.case_file import CaseFile, OutputTable
 from simulation.errors import InputError, errors_at
 from simulation.limits import Limits
-from simulation.measurement import Measurement
+from simulation.measurement import MeasuredOutput, Measurement
 from simulation.recording import Recording
 from simulation.samples import Samples
 from simulation.time_unit import DAY_S, TimeUnit
@@ -153,14 +153,13 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
     """
     begin_s = float(time[0]) + (period.compared_d[0] - period.reported_d[0]) * DAY_S
     seen_s = math.nan if period.seen_d is None else begin_s + (period.seen_d - period.compared_d[0]) * DAY_S
-    samples, limits, weights = [], [], []
+    outputs = []
     for table in file.outputs:
         with errors_at(f"outputs[{table.name}]"):
             its = _limits(table, time[time >= begin_s - 1e-6 * file.time.output_step_s])
             if table.source is None:
                 assert its is not None, "an output has a measurement or limits"
-                # What stands in place of samples.
-                one = Samples(its.time, np.full(its.time.shape, its.ends[-1]))
+                one = its.samples
             else:
                 recording, column = data.recordings[table.source[0]], table.source[1]
                 said = file.time.unit.period(period.compared_d)
@@ -171,21 +170,20 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
                         f"accepted = [{low:g}, {high:g}] leaves out the measured {one.values[row]:g} at "
                         f"{one.time[row]:.12g} s; widen it, or empty that cell"
                     )
-            limits.append(its)
-            samples.append(one)
-            weights.append(_weight(table, one))
-    correlation_s = np.array([table.correlation_time_s or 0.0 for table in file.outputs])
-    return Measurement(
-        time,
-        tuple(samples),
-        tuple(table.name for table in file.outputs),
-        uncertainty=np.array([table.uncertainty for table in file.outputs]),
-        weights=np.array(weights),
-        lasts_s=np.array([table.error_lasts_s or 0.0 for table in file.outputs]),
-        losses=tuple(table.robust_loss for table in file.outputs),
-        correlation_s=correlation_s if correlation_s.any() else None,
-        limits=tuple(limits) if any(limits) else (),
-    )
+            outputs.append(
+                MeasuredOutput(
+                    table.name,
+                    table.unit,
+                    one,
+                    table.uncertainty,
+                    _weight(table, one),
+                    error_lasts_s=table.error_lasts_s or 0.0,
+                    loss=table.robust_loss,
+                    correlation_s=table.correlation_time_s or 0.0,
+                    limits=its,
+                )
+            )
+    return Measurement(time, tuple(outputs))
 
 
 def _limits(table: OutputTable, time: FloatArray) -> Limits | None:

@@ -1,14 +1,12 @@
 """Where what belongs to an experiment stands among what belongs to all."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
-from simulation.limits import Limits
-from simulation.measurement import Measurement
-from simulation.samples import Samples
+from simulation.measurement import MeasuredOutput, Measurement
 from simulation.trajectories import Trajectories
 
 Names = tuple[tuple[str, ...], tuple[str, ...]]
@@ -97,36 +95,25 @@ class Layout:
         )
 
 
-def joined_measurement(
-    layout: Layout, measurements: Sequence[Measurement], weights: Sequence[float]
-) -> Measurement:
-    """Put the measurements of all experiments side by side.
+def joined_measurement(parts: Sequence[tuple[str, Measurement, float]]) -> Measurement:
+    """Put the measurements of experiments side by side, over the output times of the longest.
 
     Args:
-        layout: How they become one.
-        measurements: Each experiment's own.
-        weights: Share of each experiment's outputs relative to the others'. [1]
+        parts: Of each experiment its name, its measurement, and the share of its outputs relative to the
+            others'. [1]
     """
-    samples, limits, correlation_s = list[Samples](), list[Limits | None](), list[FloatArray]()
-    for one in measurements:
+    outputs = list[MeasuredOutput]()
+    for name, one, weight in parts:
         begin_s, length_s = one.time[0], one.time[-1] - one.time[0]
-        samples += (
-            Samples(np.clip(series.time - begin_s, 0.0, length_s), series.values) for series in one.samples
+        outputs += (
+            replace(
+                its,
+                name=f"{its.name}{MARK}{name}",
+                samples=its.samples.within(begin_s, length_s),
+                weight=its.weight * weight,
+                limits=its.limits and its.limits.within(begin_s, length_s),
+            )
+            for its in one.outputs
         )
-        places = range(len(one.samples))
-        every = (one.limits_of(k) for k in places)
-        limits += (its and its.within(begin_s, length_s) for its in every)
-        none = np.zeros(len(places))
-        correlation_s.append(none if one.correlation_s is None else one.correlation_s)
-    is_correlated = any(one.correlation_s is not None for one in measurements)
-    return Measurement(
-        layout.time,
-        tuple(samples),
-        layout.output_names,
-        uncertainty=np.concatenate([one.uncertainty for one in measurements]),
-        weights=np.concatenate([one.weights * w for one, w in zip(measurements, weights, strict=True)]),
-        lasts_s=np.concatenate([one.error_lasts_s for one in measurements]),
-        losses=tuple(one.loss_of(k) for one in measurements for k in range(len(one.samples))),
-        correlation_s=np.concatenate(correlation_s) if is_correlated else None,
-        limits=tuple(limits) if any(limits) else (),
-    )
+    longest = max((one.time for _, one, _ in parts), key=len)
+    return Measurement(longest - longest[0], tuple(outputs))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.samples import Samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +25,10 @@ class Limits:
     is_alone: bool
 
     @property
-    def ends(self) -> tuple[float, ...]:
-        """The limits that there are, the lower one first. [output's unit]."""
-        return tuple(end for end in (self.at_least, self.at_most) if np.isfinite(end))
+    def samples(self) -> Samples:
+        """What stands in place of samples: the upper limit, or the lower one without it, at all times."""
+        end = self.at_most if np.isfinite(self.at_most) else self.at_least
+        return Samples(self.time, np.full(self.time.shape, end))
 
     def excess(self, values: FloatArray) -> FloatArray:
         """Return how far values lie beyond: below 0 under the lower limit. Shape as they have. [unit]."""

@@ -5,11 +5,67 @@ from functools import cached_property
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray, IntArray, digest_of
+from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.correlated_error import coloured, correlations, whitened
 from simulation.limits import Limits
 from simulation.robust_loss import RobustLoss
 from simulation.samples import Place, Samples, place_of
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredOutput:
+    """What was measured of one output, and how its differences count.
+
+    Attributes:
+        name: Name of the output.
+        unit: Unit of the measurement and of every trajectory, "" where it is left open.
+        samples: What was measured. Of an output that has limits alone, its limit at their times.
+        uncertainty: Uncertainty of the sensor, infinite or NaN where it is not known. [output's unit]
+        weight: Share of the MSE, relative to the other outputs. [1]
+        error_lasts_s: How long an error of the sensor lasts, 0 where that is not known: it decides how much a
+            prior weighs, and no error. [s]
+        loss: Robust loss, None for squares.
+        correlation_s: Correlation time of the errors, 0 for independent ones. [s]
+        limits: Limits, None for none.
+    """
+
+    name: str
+    unit: str
+    samples: Samples
+    uncertainty: float
+    weight: float = 1.0
+    error_lasts_s: float = 0.0
+    loss: RobustLoss | None = None
+    correlation_s: float = 0.0
+    limits: Limits | None = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether it has a measurement, not limits alone."""
+        return self.limits is None or not self.limits.is_alone
+
+    @cached_property
+    def rho(self) -> FloatArray | None:
+        """Correlation of each error with the one before, None for independent ones. Shape (m,). [1]."""
+        return correlations(self.samples.time, self.correlation_s) if self.correlation_s > 0.0 else None
+
+    def differences(self, simulated: FloatArray) -> FloatArray:
+        """Return simulated minus measured, or how far simulated values lie beyond limits alone.
+
+        Args:
+            simulated: Values at the sample times. Shape (n, m). [output's unit]
+
+        Returns:
+            Shape as they have. [output's unit]
+        """
+        if self.limits is not None and self.limits.is_alone:
+            return self.limits.excess(simulated)
+        return simulated - self.samples.values
+
+    def independent(self, simulated: FloatArray) -> FloatArray:
+        """Return the differences, whitened where errors are correlated. Shapes as in `differences`."""
+        differences = self.differences(simulated)
+        return differences if self.rho is None else whitened(differences, self.rho)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,49 +89,22 @@ class Measurement:
 
     Attributes:
         time: Output times. Shape (t,). [s]
-        samples: What was measured of each of the k outputs, within the output times.
-        output_names: Names of the outputs.
-        uncertainty: Uncertainty of the sensors. Shape (k,). [per output]
-        weights: Share of the MSE that each output has, relative to the others. Shape (k,). [1]
-        lasts_s: How long an error of each output lasts, None where that is not known: it decides how much a
-            prior weighs, and no error. Shape (k,). [s]
-        losses: Robust loss of each output, None for squares; empty for squares throughout.
-        correlation_s: Correlation time of each output's errors, 0 for independent ones; None for independent
-            ones throughout. Shape (k,). [s]
-        limits: Limits of each output, None for none; empty for none throughout. Samples of an output that
-            has nothing else are its limit.
+        outputs: What was measured of each of the k outputs, within the output times.
     """
 
     time: FloatArray
-    samples: tuple[Samples, ...]
-    output_names: tuple[str, ...]
-    uncertainty: FloatArray
-    weights: FloatArray
-    lasts_s: FloatArray | None = None
-    losses: tuple[RobustLoss | None, ...] = ()
-    correlation_s: FloatArray | None = None
-    limits: tuple[Limits | None, ...] = ()
+    outputs: tuple[MeasuredOutput, ...]
 
     def __post_init__(self) -> None:
-        n_outputs = len(self.output_names)
-        n_losses, n_limits = len(self.losses) or n_outputs, len(self.limits) or n_outputs
-        sizes = {len(self.samples), *self.uncertainty.shape, *self.weights.shape, n_losses, n_limits}
-        if sizes != {n_outputs}:
-            raise ValueError(
-                f"{len(self.samples)} series of samples, uncertainty {self.uncertainty.shape}, weights "
-                f"{self.weights.shape}, {n_losses} losses, {n_limits} limits do not fit {n_outputs} outputs"
-            )
-        if not len(self.measured):
+        if not self.measured:
             raise ValueError("no output is measured; limits alone are no target")
         # An uncertainty that is not known is infinite or NaN.
         if (self.uncertainty <= 0.0).any():
             raise ValueError(f"uncertainty is {self.uncertainty}; every output's has to be positive")
         if not (np.isfinite(self.weights) & (self.weights > 0.0)).all():
             raise ValueError(f"weights are {self.weights}; every output's has to be positive")
-        for one in self.samples:
-            place_of(self.time, one.time)
-        for limits in self._limits_beside.values():
-            place_of(self.time, limits.time)
+        # A sample outside the output times has no place.
+        _ = self._places
 
     @classmethod
     def on_grid(
@@ -84,78 +113,89 @@ class Measurement:
         y: FloatArray,
         output_names: tuple[str, ...],
         uncertainty: FloatArray,
-        weights: FloatArray | None = None,
     ) -> "Measurement":
         """Take values that were measured at the output times.
 
         Args:
             time: Output times. Shape (t,). [s]
             y: Measured values, NaN in gaps. Shape (t, k). [per output]
-            output_names: Names of the k outputs.
+            output_names: Names of the k outputs, whose unit is left open.
             uncertainty: Uncertainty of the sensors. Shape (k,). [per output]
-            weights: Share of the MSE that each output has; None for the same. Shape (k,). [1]
 
         Raises:
             ValueError: If the shapes do not fit, or an output has no value at all.
         """
-        if y.shape != (len(time), len(output_names)):
-            raise ValueError(f"y {y.shape} does not fit; expected {(len(time), len(output_names))}")
+        n_outputs = len(output_names)
+        if y.shape != (len(time), n_outputs):
+            raise ValueError(f"y {y.shape} does not fit; expected {(len(time), n_outputs)}")
+        if uncertainty.shape != (n_outputs,):
+            raise ValueError(f"uncertainties of shape {uncertainty.shape} do not fit {n_outputs} outputs")
         known = ~np.isnan(y)
-        samples = tuple(Samples(time[known[:, k]], y[known[:, k], k]) for k in range(y.shape[1]))
-        return cls(
-            time, samples, output_names, uncertainty, np.ones(y.shape[1]) if weights is None else weights
-        )
+        samples = [Samples(time[known[:, k]], y[known[:, k], k]) for k in range(n_outputs)]
+        each = zip(output_names, samples, uncertainty.tolist(), strict=True)
+        return cls(time, tuple(MeasuredOutput(name, "", one, sensor) for name, one, sensor in each))
+
+    @cached_property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(one.name for one in self.outputs)
+
+    @cached_property
+    def uncertainty(self) -> FloatArray:
+        """Uncertainty of the sensors. Shape (k,). [per output]."""
+        return np.array([one.uncertainty for one in self.outputs])
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Share of the MSE that each output has, relative to the others. Shape (k,). [1]."""
+        return np.array([one.weight for one in self.outputs])
 
     @cached_property
     def y(self) -> FloatArray:
         """Measured values at the output times, NaN where no sample was taken. Shape (t, k). [per output]."""
-        y = np.full((len(self.time), len(self.samples)), np.nan)
-        for k, (one, place) in enumerate(zip(self.samples, self._places, strict=True)):
+        y = np.full((len(self.time), len(self.outputs)), np.nan)
+        for k, (one, place) in enumerate(zip(self.outputs, self._places, strict=False)):
             on = (place.share == 0.0) | (place.share == 1.0)
-            y[place.before[on] + place.share[on].astype(np.int64), k] = one.values[on]
+            y[place.before[on] + place.share[on].astype(np.int64), k] = one.samples.values[on]
         return y
 
     @cached_property
+    def _targets(self) -> list[tuple[int, MeasuredOutput]]:
+        """The outputs, then limits beside a measurement; each with the position of its output."""
+        targets = [*enumerate(self.outputs)]
+        for k, one in enumerate(self.outputs):
+            if one.limits is not None and one.is_measured:
+                alone = replace(one.limits, is_alone=True)
+                targets.append((k, replace(one, samples=alone.samples, correlation_s=0.0, limits=alone)))
+        return targets
+
+    @cached_property
     def _places(self) -> tuple[Place, ...]:
-        return tuple(place_of(self.time, one.time) for one in self.samples)
+        """Where the samples of the targets lie among the output times."""
+        return tuple(place_of(self.time, one.samples.time) for _, one in self._targets)
 
     @property
     def from_first_sample(self) -> "Measurement":
         """The same, without the output times that lie before the first sample."""
-        times = [one.time for one in self.samples] + [one.time for one in self.limits if one is not None]
-        first_s = min(float(one[0]) for one in times)
+        first_s = min(float(one.samples.time[0]) for _, one in self._targets)
         first = int(np.searchsorted(self.time, first_s, side="right")) - 1
         return replace(self, time=self.time[max(first, 0) :])
 
     @property
-    def error_lasts_s(self) -> FloatArray:
-        """How long an error of each output lasts, 0 where that is not known. Shape (k,). [s]."""
-        return np.zeros(len(self.samples)) if self.lasts_s is None else self.lasts_s
-
-    @property
     def error_name(self) -> str:
         """What the error is: "MSE", with a robust loss "mean loss", correlated "whitened MSE"."""
-        plain = "MSE" if self.correlation_s is None else "whitened MSE"
-        return "mean loss" if any(self.losses) else plain
+        plain = "whitened MSE" if any(one.correlation_s for one in self.outputs) else "MSE"
+        return "mean loss" if any(one.loss for one in self.outputs) else plain
 
     @property
     def n_samples(self) -> int:
         """Number of residuals that a comparison has, those of limits included."""
-        return len(self._by_target)
+        return len(self._order)
 
     @cached_property
     def measured(self) -> tuple[int, ...]:
         """Positions of the outputs that are measured: all but those that have limits alone."""
-        return tuple(
-            k
-            for k in range(len(self.samples))
-            if (limits := self.limits_of(k)) is None or not limits.is_alone
-        )
-
-    @property
-    def n_measured(self) -> int:
-        """Number of measured values."""
-        return sum(len(self.samples[k].time) for k in self.measured)
+        return tuple(k for k, one in enumerate(self.outputs) if one.is_measured)
 
     @cached_property
     def scales(self) -> FloatArray:
@@ -163,11 +203,10 @@ class Measurement:
 
         Its root mean square over all residuals is then the root of the MSE.
         """
-        uncertainty = self.uncertainty
-        n = np.array([len(one.time) for one in self.samples], dtype=np.float64)
+        n = np.array([len(one.samples.time) for one in self.outputs])
         sum_of_weights = float(self.weights[list(self.measured)].sum())
         shares = np.sqrt(self.weights * float(self.n_samples) / (sum_of_weights * n))
-        return np.asarray(uncertainty[0] / uncertainty * shares)
+        return np.asarray(self.uncertainty[0] / self.uncertainty * shares)
 
     @property
     def error_scales(self) -> FloatArray:
@@ -188,14 +227,7 @@ class Measurement:
         Returns:
             Of an output with limits alone, how far it lies beyond them. Shape (n, m_k). [output's unit]
         """
-        simulated, limits = self._places[output].of(y[:, :, output]), self.limits_of(output)
-        if limits is not None and limits.is_alone:
-            return limits.excess(simulated)
-        return simulated - self.samples[output].values
-
-    def limits_of(self, output: int) -> Limits | None:
-        """Return the limits of an output, None for none."""
-        return self.limits[output] if self.limits else None
+        return self.outputs[output].differences(self._places[output].of(y[:, :, output]))
 
     def excess(self, y: FloatArray, output: int) -> FloatArray:
         """Return how far an output lies beyond its limits at their times. Shape (n, m). [output's unit].
@@ -204,39 +236,9 @@ class Measurement:
             y: Simulated outputs. Shape (n, t, k). [per output]
             output: Position of the output.
         """
-        limits = self.limits_of(output)
+        limits = self.outputs[output].limits
         assert limits is not None, "asked of an output with limits"
         return limits.excess(place_of(self.time, limits.time).of(y[:, :, output]))
-
-    def loss_of(self, output: int) -> RobustLoss | None:
-        """Return the robust loss of an output, None for squares."""
-        return self.losses[output] if self.losses else None
-
-    def residuals(self, y: FloatArray, output: int) -> FloatArray:
-        """Return the residuals of one output's differences: whitened, as its loss counts them, scaled.
-
-        Args:
-            y: Simulated outputs. Shape (n, t, k). [per output]
-            output: Position of the output.
-
-        Returns:
-            Shape (n, m_k). [first output's unit]
-        """
-        differences, loss = self._independent(y, output), self.loss_of(output)
-        return np.asarray((differences if loss is None else loss.shrunk(differences)) * self.scales[output])
-
-    def _independent(self, y: FloatArray, output: int) -> FloatArray:
-        """Return the differences of an output, whitened where its errors are correlated. Shape (n, m_k)."""
-        differences, rho = self.differences(y, output), self._correlations[output]
-        return differences if rho is None else whitened(differences, rho)
-
-    @cached_property
-    def _correlations(self) -> tuple[FloatArray | None, ...]:
-        lasts_s = np.zeros(len(self.samples)) if self.correlation_s is None else self.correlation_s
-        return tuple(
-            correlations(one.time, float(tau)) if tau > 0.0 else None
-            for one, tau in zip(self.samples, lasts_s, strict=True)
-        )
 
     def scatter(self, y: FloatArray, output: int) -> FloatArray:
         """Return what the residuals of one output show of noise: those of squares, or as far as they count.
@@ -248,8 +250,10 @@ class Measurement:
         Returns:
             Shape (m_k,). [first output's unit]
         """
-        differences, loss = self._independent(y[None], output)[0], self.loss_of(output)
-        return np.asarray((differences if loss is None else loss.scatter(differences)) * self.scales[output])
+        one = self.outputs[output]
+        differences = one.independent(self._places[output].of(y[None, :, output]))[0]
+        counted = differences if one.loss is None else one.loss.scatter(differences)
+        return np.asarray(counted * self.scales[output])
 
     def scaled_differences(self, residuals: FloatArray) -> FloatArray:
         """Return what residuals would be without robust losses and correlation times; of limits, as they are.
@@ -260,15 +264,13 @@ class Measurement:
         Returns:
             Shape as they have. [first output's unit]
         """
-        if not any(self.losses) and self.correlation_s is None:
-            return residuals
-        plain, target_of = residuals.copy(), self._by_target[self._order]
-        for k, rho in enumerate(self._correlations):
-            loss, of, scale = self.loss_of(k), target_of == k, self.scales[k]
-            if loss is not None:
-                plain[..., of] = scale * loss.grown(residuals[..., of] / scale)
-            elif rho is not None:
-                plain[..., of] = coloured(residuals[..., of], rho)
+        plain = residuals.copy()
+        for k, one in enumerate(self.outputs):
+            of, scale = self.target_of == k, self.scales[k]
+            if one.loss is not None:
+                plain[..., of] = scale * one.loss.grown(residuals[..., of] / scale)
+            elif one.rho is not None:
+                plain[..., of] = coloured(residuals[..., of], one.rho)
         return plain
 
     def compared(self, y: FloatArray) -> FloatArray:
@@ -281,18 +283,16 @@ class Measurement:
             Scaled differences, as the losses count them; the mean of their squares is the MSE or the mean
             loss. Shape (n, n_samples). [first output's unit]
         """
-        parts = [self.residuals(y, k) for k in range(len(self.samples))]
-        parts += [self._beyond(y, k) for k in self._limits_beside]
+        parts = []
+        for (k, one), place in zip(self._targets, self._places, strict=True):
+            differences = one.independent(place.of(y[:, :, k]))
+            counted = differences if one.loss is None else one.loss.shrunk(differences)
+            # The mean square of limits counts like that of the differences, however many times they have.
+            n_by_own = len(self.outputs[k].samples.time) / len(one.samples.time)
+            parts.append(counted * (self.scales[k] * np.sqrt(n_by_own)))
         joined = parts[0] if len(parts) == 1 else np.take(np.concatenate(parts, axis=1), self._order, axis=1)
         # The sum of a row must not depend on the other rows, not in its last digit.
         return np.ascontiguousarray(joined)
-
-    def _beyond(self, y: FloatArray, output: int) -> FloatArray:
-        """Return the residuals of limits beside a measurement. Shape (n, m). [first output's unit]."""
-        excess, loss = self.excess(y, output), self.loss_of(output)
-        # Its mean square counts like that of the differences, however many output times there are.
-        scale = self.scales[output] * np.sqrt(len(self.samples[output].time) / excess.shape[1])
-        return np.asarray((excess if loss is None else loss.shrunk(excess)) * scale)
 
     def mse(self, y: FloatArray) -> FloatArray:
         """Return the mean squared error or mean loss of every row, infinite where it is not finite.
@@ -303,43 +303,27 @@ class Measurement:
         Returns:
             Shape (n,). [first output's unit squared]
         """
-        residuals = self.compared(y)
-        good = np.isfinite(residuals).all(axis=1)
-        mse = np.full(len(y), np.inf)
-        mse[good] = np.mean(residuals[good] ** 2, axis=1)
-        return mse
+        mse = np.mean(self.compared(y) ** 2, axis=1)
+        return np.where(np.isfinite(mse), mse, np.inf)
 
     @property
     def output_of(self) -> IntArray:
         """Output that each residual is of, those of limits as well. Shape (n_samples,)."""
-        targets = np.array([*range(len(self.samples)), *self._limits_beside], dtype=np.int64)
-        return targets[self._by_target[self._order]]
-
-    @property
-    def is_of_limits(self) -> BoolArray:
-        """Which residuals are of limits, not of a measurement. Shape (n_samples,)."""
-        # Targets after the outputs are limits beside a measurement.
-        return ~np.isin(self._by_target[self._order], self.measured)
+        return np.array([k for k, _ in self._targets])[self.target_of]
 
     @cached_property
-    def _limits_beside(self) -> dict[int, Limits]:
-        """Positions of the outputs that have limits beside a measurement."""
-        return {k: limits for k in self.measured if (limits := self.limits_of(k)) is not None}
+    def target_of(self) -> IntArray:
+        """What each residual is of: the position of its output, beyond them for limits beside a measurement.
 
-    @cached_property
-    def _times(self) -> list[FloatArray]:
-        """Times of the residuals: of each output's samples, then of the limits beside them. [s]."""
-        return [one.time for one in (*self.samples, *self._limits_beside.values())]
+        Shape (n_samples,).
+        """
+        n = [len(one.samples.time) for _, one in self._targets]
+        return np.repeat(np.arange(len(n)), n)[self._order]
 
     @cached_property
     def _order(self) -> IntArray:
-        """Order of the residuals: by time, then by output."""
-        return np.lexsort((self._by_target, np.concatenate(self._times)))
-
-    @cached_property
-    def _by_target(self) -> IntArray:
-        """Place of each residual's times among `_times`, one after the other."""
-        return np.repeat(np.arange(len(self._times)), [len(time) for time in self._times])
+        """Order of the residuals: by time, then by target."""
+        return np.argsort(np.concatenate([one.samples.time for _, one in self._targets]), kind="stable")
 
     @cached_property
     def digest(self) -> str:
@@ -348,9 +332,11 @@ class Measurement:
         if np.any(self.weights != 1.0):
             arrays.append(self.weights)
         # Samples on the output times are in y.
-        if any((place.share % 1.0).any() for place in self._places):
-            arrays += [array for one in self.samples for array in (one.time, one.values)]
-        named = repr((self.output_names, self.y.shape)) + (repr(self.losses) if any(self.losses) else "")
-        if self.correlation_s is not None or any(self.limits):
-            named += repr((None if self.correlation_s is None else self.correlation_s.tolist(), self.limits))
+        if any((place.share % 1.0).any() for place in self._places[: len(self.outputs)]):
+            arrays += [array for one in self.outputs for array in (one.samples.time, one.samples.values)]
+        losses, limits = (tuple(getattr(one, key) for one in self.outputs) for key in ("loss", "limits"))
+        lasts_s = [one.correlation_s for one in self.outputs]
+        named = repr((self.output_names, self.y.shape)) + (repr(losses) if any(losses) else "")
+        if any(lasts_s) or any(limits):
+            named += repr((lasts_s if any(lasts_s) else None, limits if any(limits) else ()))
         return digest_of(named, *arrays)

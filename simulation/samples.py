@@ -1,6 +1,6 @@
 """Samples of an output at times of their own, and where they lie among the output times."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,10 @@ class Samples:
             raise ValueError("a sample is not finite; leave gaps out")
         if np.any(np.diff(self.time) <= 0):
             raise ValueError("sample times do not rise")
+
+    def within(self, begin_s: float, length_s: float) -> "Samples":
+        """Return the same with times from a begin on, for `length_s` at most. [s]."""
+        return replace(self, time=np.clip(self.time - begin_s, 0.0, length_s))
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,11 +194,11 @@ def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResul
     outcome: Outcome[Calibration] = min(calibrations, key=lambda one: one.result.mse)
     case, found, series = study.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
     at, judged, space = case.measurement.time, found.determined_by_data, case.parameter_space
-    every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
-    for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
-        if k in case.measurement.measured:
-            series[output.name, "measured"] = pd.Series(samples.values, samples.time)
-        series[output.name, "calibrated"] = pd.Series(np.interp(every, at, found.y[:, k]), every)
+    every = np.unique(np.concatenate([at, *(one.samples.time for one in case.outputs)]))
+    for k, one in enumerate(case.outputs):
+        if one.is_measured:
+            series[one.name, "measured"] = pd.Series(one.samples.values, one.samples.time)
+        series[one.name, "calibrated"] = pd.Series(np.interp(every, at, found.y[:, k]), every)
     theta = pd.DataFrame(
         {
             "value": found.theta,

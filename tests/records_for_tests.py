@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from measurement_for_tests import with_each
 
 from simulation.case import Case, KnownError, load_case
 from simulation.measurement import Measurement
@@ -52,12 +53,12 @@ def office() -> Case:
 def case(n_outputs: int = 1) -> Case:
     """Return the office with made-up outputs."""
     measurement = measured(n_outputs)
-    output = office().outputs[0]
+    unit = office().outputs[0].unit
     return replace(
-        office(), title="Office room, virtual measurement", measurement=measurement, references=REFERENCES,
+        office(), title="Office room, virtual measurement", references=REFERENCES,
         note="A virtual measurement: a white-box office was simulated, no building was measured.",
         parameter_space=parameter_box(),
-        outputs=tuple(replace(output, name=name) for name in measurement.output_names),
+        measurement=with_each(measurement, unit=unit),
     )  # fmt: skip
 
 

@@ -63,10 +63,10 @@ class Prior:
         beliefs = [parameter.prior for parameter in space.parameters]
         if not any(beliefs):
             return None
-        for name, uncertainty in zip(measurement.output_names, measurement.uncertainty, strict=True):
-            if not np.isfinite(uncertainty):
+        for one in measurement.outputs:
+            if not np.isfinite(one.uncertainty):
                 raise InputError(
-                    f"outputs[{name}]: a prior is weighed against the sensor's uncertainty, which is not "
+                    f"outputs[{one.name}]: a prior is weighed against the sensor's uncertainty, which is not "
                     "known; give uncertainty, or remove prior from the parameters"
                 )
         centre = space.to_unit(np.array([np.nan if one is None else one.centre for one in beliefs]))
@@ -139,12 +139,10 @@ def independent_samples(measurement: Measurement) -> float:
     """Return how many independent samples a measurement is worth under the module's noise model. [1]."""
     total = 0.0
     for k in measurement.measured:
-        samples, lasts_s = measurement.samples[k], measurement.error_lasts_s[k]
-        m = len(samples.time)
-        rho = 0.0
-        if m > 1 and lasts_s > 0.0:
+        one, m, rho = measurement.outputs[k], len(measurement.outputs[k].samples.time), 0.0
+        if m > 1 and one.error_lasts_s > 0.0:
             # The median: a gap in a recording must not make all samples seem to lie farther apart.
-            rho = float(np.exp(-np.median(np.diff(samples.time)) / lasts_s))
+            rho = float(np.exp(-np.median(np.diff(one.samples.time)) / one.error_lasts_s))
         total += worth_of(m, rho)
     return total
 

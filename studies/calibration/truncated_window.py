@@ -27,14 +27,13 @@ class TruncatedWindow:
             measurement: The target, which also says which residual belongs to which output.
         """
         zero = np.zeros((1, len(measurement.time), len(measurement.output_names)))
-        plain = replace(measurement, losses=(), correlation_s=None)
+        plain = [replace(one, loss=None, correlation_s=0.0) for one in measurement.outputs]
         self._measurement = measurement
         # Compared with zero, all that is left is the measurement, scaled and ordered as residuals are.
-        self._measured = signal = -plain.compared(zero)[0]
-        # What limits say belongs to no measured output.
+        self._measured = signal = -replace(measurement, outputs=tuple(plain)).compared(zero)[0]
         self._output_of = measurement.output_of
-        is_of: BoolArray = self._output_of == np.array(measurement.measured)[:, None]
-        self._is_of = is_of & ~measurement.is_of_limits
+        # What limits say belongs to no measured output.
+        self._is_of: BoolArray = measurement.target_of == np.array(measurement.measured)[:, None]
         self._variance = np.array([signal[of].var() for of in self._is_of])
         # An output that varies less than its sensor errs, as a room at its set point, counts only alone.
         sensor = (measurement.scales * measurement.uncertainty)[list(measurement.measured)]

@@ -65,15 +65,15 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
         yield finding("estimates-fail", "fail", reason=reason, remedy=_remedy(reason))
         return
     mse = float(case.measurement.mse(nominal.y)[0])
-    series = list(zip(case.outputs, nominal.y[0].T, case.measurement.uncertainty, strict=True))
-    ranges = [f"{one.name} from {y.min():.4g} to {y.max():.4g}{with_unit(one.unit)}" for one, y, _ in series]
+    series = list(zip(case.outputs, nominal.y[0].T, strict=True))
+    ranges = [f"{one.name} from {y.min():.4g} to {y.max():.4g}{with_unit(one.unit)}" for one, y in series]
     unit = square_of(case.outputs[0].unit)
     error = f"{case.measurement.error_name} {quantity(mse, unit, 4)}"
     yield finding("estimates", "ok", error=error, ranges=", ".join(ranges))
-    yield from named("outputs-still", [one.name for one, y, _ in series if np.ptp(y) <= SAME])
+    yield from named("outputs-still", [one.name for one, y in series if np.ptp(y) <= SAME])
     if not case.scenario.n_warmup:
-        yield from named("first-values", [one.name for one, y, sigma in series if _jumps(sigma, y)])
-    problems = [(one.name, unit_problem(y, one.unit)) for one, y, _ in series]
+        yield from named("first-values", [one.name for one, y in series if _jumps(one.uncertainty, y)])
+    problems = [(one.name, unit_problem(y, one.unit)) for one, y in series]
     yield from named(
         "units-of-outputs", [f"{name}: {problem}" for name, problem in problems if problem], "; "
     )

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
-from simulation.case import Case, Output
+from simulation.case import Case
 from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
-from simulation.samples import Samples
 from simulation.time_unit import DAY_S, period_text, unit_for
 from studies.doctor.finding import LONGEST, Finding, finding, named
 from studies.report.wording import count
@@ -49,8 +48,8 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
 
 def look_at_data(case: Case) -> Iterator[Finding]:
     """Look at the recordings, as the model and the comparison get them."""
-    measurement, scenario = case.measurement, case.scenario
-    n_samples, p = measurement.n_measured, case.parameter_space.n_parameters
+    scenario, p = case.scenario, case.parameter_space.n_parameters
+    n_samples = sum(len(one.samples.time) for one in case.outputs if one.is_measured)
     partly = list(_partly_covered(case))
     remedies = ["shorten the window, or measure all of it: the rest is not calibrated"] * bool(partly)
     if n_samples <= p:
@@ -70,8 +69,9 @@ def look_at_data(case: Case) -> Iterator[Finding]:
         for name, values in zip(scenario.input_names, scenario.inputs.T, strict=True)
     ]
     series += [
-        (output.name, output.unit, samples.time, samples.values, _is_far(samples.values))
-        for output, samples in _measured(case)
+        (one.name, one.unit, one.samples.time, one.samples.values, _is_far(one.samples.values))
+        for one in case.outputs
+        if one.is_measured
     ]
     constant, far, problems = [], [], []
     for name, unit, time, values, is_far in series:
@@ -118,18 +118,14 @@ def _fmu(case: Case) -> Finding:
     return finding("fmu", "ok", said=said)
 
 
-def _measured(case: Case) -> Iterator[tuple[Output, Samples]]:
-    """Yield every output that is measured, and its samples."""
-    return ((case.outputs[k], case.measurement.samples[k]) for k in case.measurement.measured)
-
-
 def _partly_covered(case: Case) -> Iterator[str]:
     """Say which outputs are not measured at the begin or the end of the window, and when they are."""
     begin_s, end_s = (float(case.measurement.time[i]) for i in (0, -1))
     unit = unit_for(case.window_d[1] * DAY_S)
-    for output, samples in _measured(case):
-        bare_s = max(GAP_STEPS * float(np.median(np.diff(samples.time))), BARE * (end_s - begin_s))
-        first_s, last_s = float(samples.time[0]), float(samples.time[-1])
+    for output in (one for one in case.outputs if one.is_measured):
+        time = output.samples.time
+        bare_s = max(GAP_STEPS * float(np.median(np.diff(time))), BARE * (end_s - begin_s))
+        first_s, last_s = float(time[0]), float(time[-1])
         first, last = (unit.moment(case.window_d[0] + (at - begin_s) / DAY_S) for at in (first_s, last_s))
         covered = f" from {first}" * (first_s - begin_s > bare_s) + f" to {last}" * (end_s - last_s > bare_s)
         if covered:

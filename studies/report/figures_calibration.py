@@ -124,8 +124,8 @@ def _output(
     ]
     if measurement is not None:
         series += limit_lines(measurement, k)
-        if k in measurement.measured:
-            samples, dots = measurement.samples[k], {"filled": True, "size": size}
+        if measurement.outputs[k].is_measured:
+            samples, dots = measurement.outputs[k].samples, {"filled": True, "size": size}
             when = unit.of_seconds(samples.time)
             series.append(Series("measured", MEASURED, when, samples.values, "point", dots))
     series += [Series(name, color, at, values[:, k]) for name, color, values in lines]
@@ -139,7 +139,7 @@ def limit_lines(measurement: Measurement, output: int) -> list[Series]:
         measurement: What simulations are compared with.
         output: Position of the output.
     """
-    limits = measurement.limits_of(output)
+    limits = measurement.outputs[output].limits
     ends = {} if limits is None else {"at least": limits.at_least, "at most": limits.at_most}
     return [Series(name, SCREENED, y=[end], mark="rule") for name, end in ends.items() if math.isfinite(end)]
 
@@ -162,10 +162,10 @@ def _residuals(case: Case, k: int, y: FloatArray) -> Panel:
     axis, time_unit = time_axis(case.measurement.time)
     unit = shortened(difference_unit(case.outputs[k].unit), 10)
     residual: FloatArray = case.measurement.differences(y[None], k)[0]
-    uncertainty = float(case.measurement.uncertainty[k])
+    uncertainty = case.outputs[k].uncertainty
     largest = float(np.nanmax(np.abs(residual))) if np.isfinite(residual).any() else 0.0
     reach = residual_reach(largest, uncertainty)
-    time, values = with_gaps(time_unit.of_seconds(case.measurement.samples[k].time), residual)
+    time, values = with_gaps(time_unit.of_seconds(case.outputs[k].samples.time), residual)
     series = [
         Series("zero", INK, y=[0.0], mark="rule", is_named=False),
         Series("residual", POLISHED, time, values, style={"strokeWidth": 1.3}, is_named=False),

@@ -45,10 +45,10 @@ def coverage_figure(case: Case, y: FloatArray) -> Figure:
     good, measurement = y[np.isfinite(y).all(axis=(1, 2))], case.measurement
     axis, unit = time_axis(measurement.time)
     time, panels = unit.of_seconds(measurement.time), []
-    for k, name in enumerate(measurement.output_names):
-        samples, series = measurement.samples[k], limit_lines(measurement, k)
-        if k in measurement.measured:
-            at, values = with_gaps(unit.of_seconds(samples.time), samples.values)
+    for k, one in enumerate(measurement.outputs):
+        series = limit_lines(measurement, k)
+        if one.is_measured:
+            at, values = with_gaps(unit.of_seconds(one.samples.time), one.samples.values)
             series.append(Series("measured", INK, at, values))
         if len(good):
             low, quarter, three_quarters, high = np.quantile(good[:, :, k], [0.0, 0.25, 0.75, 1.0], axis=0)
@@ -57,7 +57,7 @@ def coverage_figure(case: Case, y: FloatArray) -> Figure:
                 Series("half of the simulations", SIMULATED, time, low=quarter, high=three_quarters),
                 *series,
             ]
-        panels.append(Panel(name, axis, output_axis(case, k), series, 240))
+        panels.append(Panel(one.name, axis, output_axis(case, k), series, 240))
     title = f"The measurement and {count(len(good), 'simulation')} of the training set"
     share, n_failed = percent(enclosed_fraction(measurement, good)), len(y) - len(good)
     caption = f"{share} of the measured values lie between the lowest and the highest simulated one."

@@ -25,7 +25,8 @@ from studies.stages.stage_results import Calibration, Uncertainty
 from studies.uncertainty.noise import Noise
 
 if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
-    from simulation.case import Case, Output
+    from simulation.case import Case
+    from simulation.measurement import MeasuredOutput
 
 MOST_NAMED, FARTHEST = 4, 3
 """Outputs up to which a sentence names all, and how many it names of more."""
@@ -87,9 +88,9 @@ def _fit(case: "Case", found: Calibration) -> str:
     return _begun(f"{compared_in(case)} {'; '.join(parts)}{less}")
 
 
-def _shown(case: "Case", found: Calibration) -> list["Output"]:
+def _shown(case: "Case", found: Calibration) -> list["MeasuredOutput"]:
     """Return the measured outputs that a sentence names: all, or of many those that differ most."""
-    measured = [case.outputs[k] for k in case.measurement.measured]
+    measured = [output for output in case.outputs if output.is_measured]
     if len(measured) <= MOST_NAMED:
         return measured
     return sorted(measured, key=lambda output: found.outputs[output.name].nrmse or 0.0)[: -FARTHEST - 1 : -1]
@@ -112,8 +113,8 @@ def _relative(case: "Case", found: Calibration) -> list[str]:
 def _limits(case: "Case", found: Calibration) -> list[str]:
     """Say which outputs keep their limits, and how far the others lie beyond."""
     said = []
-    for k, output in enumerate(case.outputs):
-        fit, limits, unit = found.outputs[output.name], case.measurement.limits_of(k), output.unit
+    for output in case.outputs:
+        fit, limits, unit = found.outputs[output.name], output.limits, output.unit
         if limits is None or fit.largest_excess is None or fit.share_beyond is None:
             continue
         ends = listed(
@@ -141,9 +142,9 @@ def _outliers(case: "Case", found: Calibration) -> list[str]:
     """Name the samples that a robust loss counts less, by output."""
     said, measurement, (begin_d, end_d) = [], case.measurement, case.window_d
     for k, output in enumerate(case.outputs):
-        if (loss := measurement.loss_of(k)) is None:
+        if (loss := output.loss) is None:
             continue
-        unit, samples = difference_unit(output.unit), measurement.samples[k]
+        unit = difference_unit(output.unit)
         difference = measurement.differences(found.y[None], k)[0]
         n_beyond, worst = np.count_nonzero(np.abs(difference) > loss.scale), np.argmax(np.abs(difference))
         sentence = (
@@ -152,7 +153,7 @@ def _outliers(case: "Case", found: Calibration) -> list[str]:
             "none is left out"
         )
         if n_beyond:
-            at_d = begin_d + float(samples.time[worst] - measurement.time[0]) / DAY_S
+            at_d = begin_d + float(output.samples.time[worst] - measurement.time[0]) / DAY_S
             moment = unit_for(end_d * DAY_S).moment(at_d)
             sentence += f"; the largest, {quantity(float(difference[worst]), unit)}, at {moment}"
         said.append(sentence)

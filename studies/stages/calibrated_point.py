@@ -91,12 +91,12 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
     found = {}
     for k, output in enumerate(case.outputs):
         difference = case.measurement.differences(y[None], k)[0]
-        sensor = float(case.measurement.uncertainty[k])
+        sensor = output.uncertainty
         whole = output_fit(case.measurement, k, output.unit, y)
         more = dict[str, float]()
         if np.isfinite(sensor):
             more |= {"uncertainty": sensor, "share_within": float(np.mean(np.abs(difference) <= sensor))}
-        if case.measurement.limits_of(k) is not None:
+        if output.limits is not None:
             excess = case.measurement.excess(y[None], k)[0]
             more["largest_excess"] = float(excess[np.argmax(np.abs(excess))])
             more["share_beyond"] = float(np.mean(excess != 0.0))
@@ -228,8 +228,8 @@ def output_fit(measurement: Measurement, output: int, unit: str, y: FloatArray) 
     """
     difference = measurement.differences(y[None], output)[0]
     rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
-    values = measurement.samples[output].values
-    if output not in measurement.measured:
+    values = measurement.outputs[output].samples.values
+    if not measurement.outputs[output].is_measured:
         return OutputFit(len(values), rmse, bias, None, None)
     span = float(np.ptp(values))
     nrmse = rmse / span if span > 0.0 else None

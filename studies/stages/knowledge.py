@@ -42,8 +42,8 @@ def is_current(inputs: Mapping[str, Any], case: Case) -> bool:
 
 def sensor_inputs(case: Case) -> dict[str, Any]:
     """Return what sensors' noise depends on beyond the measurement; empty where nothing is declared."""
-    lasts_s = case.measurement.error_lasts_s
-    return {"error_lasts_s": lasts_s.tolist()} if lasts_s.any() else {}
+    lasts_s = [one.error_lasts_s for one in case.outputs]
+    return {"error_lasts_s": lasts_s} if any(lasts_s) else {}
 
 
 def declared_inputs(case: Case) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def declared_inputs(case: Case) -> dict[str, Any]:
         "is_log": case.parameter_space.is_log.tolist(),
         "estimates": [parameter.estimate for parameter in parameters],
         "beliefs": [None if parameter.prior is None else asdict(parameter.prior) for parameter in parameters],
-        "error_lasts_s": case.measurement.error_lasts_s.tolist(),
+        "error_lasts_s": [one.error_lasts_s for one in case.outputs],
     }
 
 

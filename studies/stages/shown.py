@@ -65,7 +65,7 @@ def _show_search(study: Study, found: Calibration) -> None:
 def _misfit(study: Study, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
     of_the_step, lacks = found_of_the_step(study), "the model lacks something"
-    if any(study.case.measurement.losses):
+    if any(one.loss for one in study.case.outputs):
         lacks = f"outliers weigh so much, or {lacks}"
     if of_the_step:
         lacks = f"studies check found that {of_the_step}; else {lacks}"

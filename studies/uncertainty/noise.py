@@ -87,7 +87,7 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
         return Noise(kind, deviation, m, declared_independent_samples(measurement))
     parts = [measurement.scatter(y, k) for k in measurement.measured]
-    n_measured = measurement.n_measured
+    n_measured = sum(len(part) for part in parts)
     # Limits that are kept say nothing of noise, but all residuals are scaled by the number of all of them.
     squares = sum(float(part @ part) for part in parts) * (n_measured / m)
     if squares <= 0.0:

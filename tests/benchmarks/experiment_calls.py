@@ -26,6 +26,7 @@ from interval_coverage import in_experiments  # noqa: E402
 
 from simulation import Case, Measurement  # noqa: E402
 from simulation.experiments import JoinedModel  # noqa: E402
+from simulation.samples import Samples  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 from studies.calibration.experiments_ode import WatchedModel, learned_ode, watched_model  # noqa: E402
 from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
@@ -89,13 +90,12 @@ def runs(case: Case, model: WatchedModel, seed: int) -> list[tuple[float, int]]:
     y = model.simulate(space.from_unit(truth[None])).y[0]
     known = case.measurement
     noisy = y + rng.standard_normal(y.shape) * known.uncertainty
-    samples = Measurement.on_grid(known.time, noisy, known.output_names, known.uncertainty).samples
     # Where experiments have other lengths, their own samples count.
-    samples = tuple(
-        replace(one, time=its.time, values=np.interp(its.time, one.time, one.values))
-        for one, its in zip(samples, known.samples, strict=True)
-    )
-    problem = CalibrationProblem(model, replace(known, samples=samples), layout=case.layout)
+    outputs = []
+    for one, values in zip(known.outputs, noisy.T, strict=True):
+        at = one.samples.time
+        outputs.append(replace(one, samples=Samples(at, np.interp(at, known.time, values))))
+    problem = CalibrationProblem(model, replace(known, outputs=tuple(outputs)), layout=case.layout)
     ode = learned_ode(posed(case, problem.measurement), model, problem)
     k = len(case.experiments)
     found = [
@@ -121,11 +121,11 @@ def posed(case: Case, measurement: Measurement) -> Case:
     members = []
     for one, its in zip(case.layout.experiments, case.experiments, strict=True):
         begin_s = its.measurement.time[0]
-        samples = tuple(
-            replace(series, time=series.time + begin_s)
-            for series in (measurement.samples[column] for column in one.outputs)
-        )
-        members.append(replace(its, measurement=replace(its.measurement, samples=samples)))
+        outputs = []
+        for column, own in zip(one.outputs, its.outputs, strict=True):
+            samples = measurement.outputs[column].samples
+            outputs.append(replace(own, samples=replace(samples, time=samples.time + begin_s)))
+        members.append(replace(its, measurement=replace(its.measurement, outputs=tuple(outputs))))
     return replace(case, experiments=tuple(members), measurement=measurement)
 
 

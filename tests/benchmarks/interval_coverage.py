@@ -78,8 +78,10 @@ def disturbed(
     measured = y + noise * uncertainty
     time, names = case.measurement.time, case.measurement.output_names
     made = Measurement.on_grid(time, measured, names, uncertainty)
-    lasts_s = -(time[1] - time[0]) / np.log(rho) if options.declared else 0.0
-    return replace(made, correlation_s=np.full(len(names), lasts_s)) if options.declared else made
+    if not options.declared:
+        return made
+    lasts_s = float(-(time[1] - time[0]) / np.log(rho))
+    return replace(made, outputs=tuple(replace(one, correlation_s=lasts_s) for one in made.outputs))
 
 
 def in_experiments(case: str, n: int, length_d: float, own: list[str], folder: Path) -> Case:

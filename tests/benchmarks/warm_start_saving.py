@@ -40,17 +40,13 @@ def with_wave(problem: CalibrationProblem, size: float, seed: int) -> Calibratio
     """Return the problem with a slow wave upon its measurement."""
     rng, measurement = np.random.default_rng([seed, 1]), problem.measurement
     phase, n_waves = rng.random(), rng.uniform(0.5, 2.0)
-    waved = tuple(
-        replace(
-            one,
-            values=one.values
-            + size
-            * one.values.std()
-            * np.sin(2.0 * np.pi * (phase + n_waves * one.time / measurement.time[-1])),
-        )
-        for one in measurement.samples
-    )
-    return replace(problem, measurement=replace(measurement, samples=waved))
+    outputs = []
+    for one in measurement.outputs:
+        time, values = one.samples.time, one.samples.values
+        wave = np.sin(2.0 * np.pi * (phase + n_waves * time / measurement.time[-1]))
+        samples = replace(one.samples, values=values + size * values.std() * wave)
+        outputs.append(replace(one, samples=samples))
+    return replace(problem, measurement=replace(measurement, outputs=tuple(outputs)))
 
 
 def settings_for(problem: CalibrationProblem) -> Adaptive:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each
 from problems_for_tests import problem_on, rc_problem
 
 from simulation.arrays import FloatArray
@@ -156,9 +157,9 @@ def test_gradient_and_curvature_of_the_penalty_are_exact() -> None:
     np.testing.assert_allclose(found.hessian, np.diag(prior.row_slopes(12) ** 2) * 2 / 12, rtol=1e-12)
 
 
-def measured(uncertainty: float = 0.5, lasts_s: float | None = None) -> Measurement:
+def measured(uncertainty: float = 0.5, lasts_s: float = 0.0) -> Measurement:
     posed = Measurement.on_grid(TIME, np.sin(TIME)[:, None], ("y",), np.array([uncertainty]))
-    return replace(posed, lasts_s=None if lasts_s is None else np.array([lasts_s]))
+    return with_each(posed, error_lasts_s=lasts_s)
 
 
 def test_errors_that_last_make_a_prior_weigh_more() -> None:

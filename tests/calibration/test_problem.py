@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measurement_for_tests import with_each
 from problems_for_tests import TRUE_RC, Waves, rc_problem
 from toy_rc import ToyRC
 
@@ -69,15 +70,14 @@ def test_another_model_with_other_parameters_is_refused() -> None:
         rc_problem().on(Waves())
 
 
-def _measurement(**changes: object) -> Measurement:
-    return replace(rc_problem().measurement, **changes)  # type: ignore[arg-type]
+PLAIN = rc_problem().measurement
 
 
 @pytest.mark.parametrize(
     ("measurement", "message"),
     [
-        (_measurement(output_names=("TAir",)), r"outputs \('T',\) are not the measured ones \('TAir',\)"),
-        (_measurement(time=np.arange(25) * 7200.0), "up to 86400 s, the measurement has 25 up to 172800 s"),
+        (with_each(PLAIN, name="TAir"), r"outputs \('T',\) are not the measured ones \('TAir',\)"),
+        (replace(PLAIN, time=np.arange(25) * 7200.0), "up to 86400 s, the measurement has 25 up to 172800 s"),
     ],
 )
 def test_a_measurement_that_cannot_be_compared_is_refused(measurement: Measurement, message: str) -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each, with_samples
 from moving_for_tests import FMUS, watched_case, with_equations
 from problems_for_tests import rc_problem
 from scipy.optimize import least_squares
@@ -37,12 +38,12 @@ def clean(wall: Case) -> AdaptiveResult:
 
 def with_outliers(measurement: Measurement, seed: int) -> Measurement:
     rng, samples = np.random.default_rng(seed), []
-    for one, sensor in zip(measurement.samples, measurement.uncertainty, strict=True):
-        values = one.values.copy()
+    for one in measurement.outputs:
+        values = one.samples.values.copy()
         wrong = rng.choice(len(values), round(OUTLIERS * len(values)), replace=False)
-        values[wrong] += rng.choice([-1.0, 1.0], len(wrong)) * SIZE * sensor
-        samples.append(replace(one, values=values))
-    return replace(measurement, samples=tuple(samples))
+        values[wrong] += rng.choice([-1.0, 1.0], len(wrong)) * SIZE * one.uncertainty
+        samples.append(replace(one.samples, values=values))
+    return with_samples(measurement, samples)
 
 
 def calibrated(measurement: Measurement) -> AdaptiveResult:
@@ -66,7 +67,8 @@ def test_outliers_move_parameters_by_less_than_half_their_interval_where_squares
     wall: Case, clean: AdaptiveResult, kind: LossKind, seed: int
 ) -> None:
     wrong, widths = with_outliers(wall.measurement, seed), half_width(wall, wall.measurement, clean)
-    robust = replace(wrong, losses=tuple(RobustLoss(kind, 2.0 * one) for one in wrong.uncertainty.tolist()))
+    outputs = tuple(replace(one, loss=RobustLoss(kind, 2.0 * one.uncertainty)) for one in wrong.outputs)
+    robust = replace(wrong, outputs=outputs)
     found, by_squares = calibrated(robust), calibrated(wrong)
     assert (np.abs(found.u - clean.u) < widths).all()
     assert (np.abs(by_squares.u - clean.u) > widths).any()
@@ -90,7 +92,7 @@ def test_the_likelihood_is_as_wide_as_robust_means_scatter(kind: LossKind) -> No
     widths = []
     for row, (mean,) in zip(y[:200], means, strict=False):
         measurement = Measurement.on_grid(600.0 * np.arange(m), row[:, None], ("y",), np.ones(1))
-        measurement = replace(measurement, losses=(loss,))
+        measurement = with_each(measurement, loss=loss)
         noise = noise_of("white", measurement, np.full((m, 1), mean), 1)
         beside = np.array([mean - step, mean, mean + step])[:, None, None] + np.zeros((m, 1))
         below, at, above = noise.log_likelihood(measurement.mse(beside))
@@ -102,7 +104,7 @@ def test_the_likelihood_is_as_wide_as_robust_means_scatter(kind: LossKind) -> No
 def test_every_method_finds_the_point_of_scipys_robust_least_squares(kind: LossKind, scipys: str) -> None:
     clean = rc_problem(noise=0.1)
     plain = replace(clean, measurement=with_outliers(clean.measurement, 0))
-    robust = replace(plain, measurement=replace(plain.measurement, losses=(RobustLoss(kind, 0.2),)))
+    robust = replace(plain, measurement=with_each(plain.measurement, loss=RobustLoss(kind, 0.2)))
     start = np.array([0.4, 0.6])
     expected = least_squares(
         lambda u: plain.residuals(u)[0], start, bounds=(0.0, 1.0), loss=scipys, f_scale=0.2, xtol=1e-12

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_samples
 from problems_for_tests import TRUE_RC, Diary, rc_problem
 
 from simulation.arrays import FloatArray
@@ -22,8 +23,8 @@ REPOSITORY = Path(__file__).parents[2]
 def with_other_data(problem: CalibrationProblem) -> CalibrationProblem:
     """The same model measured anew: what was measured before was a tenth too low."""
     measurement = problem.measurement
-    samples = tuple(replace(one, values=1.1 * one.values) for one in measurement.samples)
-    return replace(problem, measurement=replace(measurement, samples=samples))
+    samples = [replace(one.samples, values=1.1 * one.samples.values) for one in measurement.outputs]
+    return replace(problem, measurement=with_samples(measurement, samples))
 
 
 def rows_of(problem: CalibrationProblem, seed: int) -> FloatArray:

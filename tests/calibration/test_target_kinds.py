@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each
 from problems_for_tests import rc_problem
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
@@ -24,11 +25,11 @@ START = np.array([0.4, 0.6])
 
 def correlated(problem: CalibrationProblem) -> tuple[CalibrationProblem, Callable[[FloatArray], FloatArray]]:
     """Return the problem with a correlation time, and its residuals by the factor of the whole matrix."""
-    samples = problem.measurement.samples[0]
+    samples = problem.measurement.outputs[0].samples
     matrix = np.exp(-np.abs(samples.time[:, None] - samples.time) / LASTS_S)
     factor = cholesky(matrix, lower=True)
     return (
-        replace(problem, measurement=replace(problem.measurement, correlation_s=np.array([LASTS_S]))),
+        replace(problem, measurement=with_each(problem.measurement, correlation_s=LASTS_S)),
         lambda u: np.asarray(solve_triangular(factor, problem.residuals(u)[0], lower=True)),
     )
 
@@ -43,7 +44,7 @@ def limited(problem: CalibrationProblem) -> tuple[CalibrationProblem, Callable[[
         return np.concatenate([simulated - y, np.maximum(simulated - limit, 0.0)])
 
     limits = Limits(time, -np.inf, limit, is_alone=False)
-    return replace(problem, measurement=replace(problem.measurement, limits=(limits,))), residuals
+    return replace(problem, measurement=with_each(problem.measurement, limits=limits)), residuals
 
 
 @pytest.mark.parametrize("kind", [correlated, limited])
@@ -72,7 +73,7 @@ def test_the_likelihood_of_correlated_errors_is_as_wide_as_their_means_scatter()
     ones = np.linalg.solve(matrix, np.ones(m))
     means = y @ ones / ones.sum()
     plain = Measurement.on_grid(time, y[0][:, None], ("y",), np.ones(1))
-    declared = replace(plain, correlation_s=np.array([LASTS_S]))
+    declared = with_each(plain, correlation_s=LASTS_S)
     widths = {}
     for name, measurement in (("plain", plain), ("declared", declared)):
         noise = noise_of("sensor", measurement, np.full((m, 1), means[0]), 1)
@@ -88,7 +89,7 @@ def test_limits_that_are_kept_change_no_noise() -> None:
     problem = rc_problem(noise=SIZE)
     measurement, y = problem.measurement, problem.evaluate(START).y[0]
     kept = Limits(measurement.time, -1e6, 1e6, is_alone=False)
-    limited_too = replace(measurement, limits=(kept,))
+    limited_too = with_each(measurement, limits=kept)
     for kind in ("correlated", "white", "sensor"):
         one, other = (noise_of(kind, target, y, 2) for target in (measurement, limited_too))  # type: ignore[arg-type]
         assert other.deviation == pytest.approx(one.deviation, rel=1e-12)

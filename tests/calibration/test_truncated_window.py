@@ -1,9 +1,10 @@
 """The window of an adaptive calibration: what is seen, what counts as explained, and a frequency found."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each
 from problems_for_tests import problem_on
 
 from simulation.arrays import FloatArray
@@ -82,7 +83,7 @@ def test_a_truncated_window_repeats_too() -> None:
 
 def test_features_are_those_of_the_simulation_whatever_the_loss() -> None:
     problem = wave_problem()
-    robust = replace(problem.measurement, losses=(RobustLoss("huber", 0.05),))
+    robust = with_each(problem.measurement, loss=RobustLoss("huber", 0.05))
     y = problem.evaluate(np.array([0.2, 0.8])).y
     found = []
     for measurement in (problem.measurement, robust):

@@ -28,7 +28,7 @@ def test_normalized_errors_count_and_are_shown(project: Path, studies: Run) -> N
     file = edit(project / WALL, *((key, f'{key}normalize = "range"\n') for key in (MASONRY, FLOW)))
     found = studies(*CALIBRATE, "--json").stage
     case = load_case(file)
-    series = [one.values for one in case.measurement.samples]
+    series = [one.samples.values for one in case.outputs]
 
     assert not found["finished_before"]
     sizes = np.array([np.ptp(values) for values in series])
@@ -51,7 +51,7 @@ def test_normalized_errors_count_and_are_shown(project: Path, studies: Run) -> N
 
 def test_only_what_lies_above_a_limit_counts(project: Path, studies: Run) -> None:
     case = load_case(project / "fmus" / "wall" / "case.toml")
-    limit = float(np.quantile(case.measurement.samples[1].values, 0.9))
+    limit = float(np.quantile(case.measurement.outputs[1].samples.values, 0.9))
     # Beside the measurement a limit pulls, alone it is all that is known of the heat flow.
     plain = studies(*CALIBRATE, "--json").stage["outputs"]["QRoom"]
     file = edit(project / WALL, (FLOW, f"{FLOW}at_most = {limit:g}\n"))
@@ -110,7 +110,7 @@ def test_experiments_have_scales_limits_and_correlations_of_their_own(new_projec
         errors += share * own.mse(np.ascontiguousarray(y[:, : part.n_times, part.outputs]))
         shares += share
     np.testing.assert_allclose(joined.mse(y), errors / shares, rtol=1e-12)
-    sizes = [[np.ptp(s.values) for s in one.measurement.samples] for one in case.experiments]
+    sizes = [[np.ptp(its.samples.values) for its in one.outputs] for one in case.experiments]
     assert sizes[0][0] != sizes[1][0]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each, with_samples
 from PIL import Image
 from records_for_tests import (
     calibration,
@@ -144,7 +145,7 @@ def test_the_history_begins_where_the_polish_does() -> None:
 
 def test_undeclared_uncertainty_draws_no_band() -> None:
     known = case()
-    unknown = replace(known, measurement=replace(known.measurement, uncertainty=np.array([np.nan])))
+    unknown = replace(known, measurement=with_each(known.measurement, uncertainty=np.nan))
     assert values(calibration_figure(known, calibration()), "sensor ±0.5 K", "high") == [0.5]
     assert "sensor" not in calibration_figure(unknown, calibration()).to_csv()
 
@@ -160,13 +161,13 @@ def test_no_line_spans_a_gap(tmp_path: Path) -> None:
 
 def with_gap(whole: Case) -> Case:
     """The first output at odd moments with two days missing, the second half as often."""
-    first, second = whole.measurement.samples
+    first, second = (one.samples for one in whole.outputs)
     kept = np.flatnonzero((first.time < 3 * 86400) | (first.time > 5 * 86400))[1:-1]
     samples = (
         Samples(first.time[kept] + 411.0, first.values[kept]),
         Samples(second.time[::2], second.values[::2]),
     )
-    return replace(whole, measurement=replace(whole.measurement, samples=samples))
+    return replace(whole, measurement=with_samples(whole.measurement, samples))
 
 
 @pytest.mark.parametrize(("p", "n_undefined"), [(14, 480), (14, 0), (2, 1), (1, 0), (7, 0)])

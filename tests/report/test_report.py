@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each
 from records_for_tests import (
     adaptive,
     calibration,
@@ -147,8 +148,7 @@ def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
         outputs={EVIL: c.outputs["TAir"]},
     )  # fmt: skip
     strange = replace(
-        whole, title=EVIL, note=EVIL, outputs=(replace(whole.outputs[0], name=EVIL, unit=EVIL),),
-        measurement=replace(whole.measurement, output_names=(EVIL,)),
+        whole, title=EVIL, note=EVIL, measurement=with_each(whole.measurement, name=EVIL, unit=EVIL),
         parameter_space=ParameterSpace((replace(first, name=EVIL, unit=EVIL), *others)),
         references=(KnownError(EVIL, 0.01, is_target=False), KnownError(EVIL, 0.02, is_target=True)),
     )  # fmt: skip

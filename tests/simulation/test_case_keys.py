@@ -98,7 +98,7 @@ def test_validation_goes_on_where_the_window_ends(decay_case: Path):
     assert validation.scenario.n_warmup == case.scenario.n_warmup == 12
     n = len(case.measurement.time)
     np.testing.assert_array_equal(validation.scenario.time[:n], case.scenario.time)
-    assert validation.measurement.samples[0].time.tolist() == [70200 + 1800 * i for i in range(10)]
+    assert validation.measurement.outputs[0].samples.time.tolist() == [70200 + 1800 * i for i in range(10)]
     assert validation.fixed == case.fixed
     with case.open_model() as model, validation.open_model() as longer:
         np.testing.assert_array_equal(longer.simulate(ROWS).y[:, :n], model.simulate(ROWS).y)
@@ -143,7 +143,7 @@ def test_a_loss_is_of_its_output_and_changes_the_measurement_alone(
     plain = load_case(decay_case)
     edit(decay_case, ("uncertainty = 0.5", f"uncertainty = 0.5\n{keys}"))
     case = load_case(decay_case)
-    assert case.measurement.loss_of(0) == loss
+    assert case.outputs[0].loss == loss
     assert (case.measurement.digest == plain.measurement.digest) == (loss is None)
     # Surrogates and stored simulations know these digests.
     assert (case.digest, case.model_digest) == (plain.digest, plain.model_digest)

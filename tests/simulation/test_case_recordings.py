@@ -28,9 +28,9 @@ def test_an_output_is_compared_at_its_own_uneven_times(decay_case: Path):
     times = [0, 20000, 21599, 21600, 22222, 30000, 30001, 64800, 64801, 90000]
     own_file(decay_case, [f"{t},{20 + t / 1e5}" for t in times])
     measurement = load_case(decay_case).measurement
-    assert measurement.samples[0].time.tolist() == [21600, 22222, 30000, 30001, 64800]
+    assert measurement.outputs[0].samples.time.tolist() == [21600, 22222, 30000, 30001, 64800]
     np.testing.assert_array_equal(
-        measurement.samples[0].values, [float(f"{20 + t / 1e5}") for t in times[3:8]]
+        measurement.outputs[0].samples.values, [float(f"{20 + t / 1e5}") for t in times[3:8]]
     )
     assert np.flatnonzero(~np.isnan(measurement.y[:, 0])).tolist() == [0, 24]
 

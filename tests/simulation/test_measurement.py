@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measurement_for_tests import with_each, with_samples
 
 from simulation import Measurement
 from simulation.limits import Limits
+from simulation.measurement import MeasuredOutput
 from simulation.robust_loss import LossKind, RobustLoss
 from simulation.samples import Samples
 
@@ -18,9 +20,19 @@ def _grid(
     y: np.ndarray, uncertainty: np.ndarray | None = None, weights: np.ndarray | None = None
 ) -> Measurement:
     names = tuple(f"y{k}" for k in range(y.shape[1]))
-    return Measurement.on_grid(
-        TIME, y, names, np.full(y.shape[1], 0.5) if uncertainty is None else uncertainty, weights
+    plain = Measurement.on_grid(
+        TIME, y, names, np.full(y.shape[1], 0.5) if uncertainty is None else uncertainty
     )
+    weighted = zip(plain.outputs, np.ones(y.shape[1]) if weights is None else weights, strict=True)
+    return replace(plain, outputs=tuple(replace(one, weight=float(weight)) for one, weight in weighted))
+
+
+def _sampled(
+    samples: tuple[Samples, ...], uncertainty: np.ndarray, weights: np.ndarray | None = None
+) -> Measurement:
+    weights = np.ones(len(samples)) if weights is None else weights
+    each = zip("abc", samples, uncertainty.tolist(), weights.tolist(), strict=False)
+    return Measurement(TIME, tuple(MeasuredOutput(name, "", *its) for name, *its in each))
 
 
 def _rows(n: int, k: int) -> np.ndarray:
@@ -42,7 +54,7 @@ def test_samples_on_all_output_times_give_the_plain_difference_bit_for_bit(k: in
 def test_between_output_times_the_simulated_line_is_compared():
     line = (2.0 + TIME / 100.0)[None, :, None]
     at = np.array([0.0, 150.0, 1499.0, 3000.0])
-    measurement = Measurement(TIME, (Samples(at, np.full(4, 5.0)),), ("y",), SIGMA, np.ones(1))
+    measurement = _sampled((Samples(at, np.full(4, 5.0)),), SIGMA)
     np.testing.assert_allclose(measurement.compared(line)[0], 2.0 + at / 100.0 - 5.0, rtol=1e-14)
     assert np.isnan(measurement.y[1:5]).all()
     assert measurement.y[[0, 5], 0].tolist() == [5.0, 5.0]
@@ -52,7 +64,7 @@ def test_the_mse_is_the_formula():
     rng = np.random.default_rng(0)
     sigma, weights = np.array([0.5, 40.0, 2.0]), np.array([1.0, 3.0, 0.5])
     samples = tuple(Samples(np.sort(rng.uniform(0, 3000, m)), rng.normal(size=m)) for m in (4, 50, 7))
-    measurement = Measurement(TIME, samples, ("a", "b", "c"), sigma, weights)
+    measurement = _sampled(samples, sigma, weights)
     row = _rows(1, 3)
     expected = 0.0
     for k, one in enumerate(samples):
@@ -66,14 +78,14 @@ def test_the_mse_is_the_formula():
 
 def test_the_digest_sees_values_times_weights_and_names():
     base = _grid(_rows(1, 2)[0])
-    shifted = tuple(Samples(one.time[:-1] + 60.0, one.values[:-1]) for one in base.samples)
+    shifted = [Samples(one.samples.time[:-1] + 60.0, one.samples.values[:-1]) for one in base.outputs]
     others = [
         _grid(_rows(1, 2)[0] + 1e-9),
         _grid(_rows(1, 2)[0], weights=np.array([1.0, 2.0])),
-        replace(base, uncertainty=np.array([0.5, 0.6])),
-        replace(base, output_names=("a", "b")),
-        replace(base, samples=shifted),
-        replace(base, samples=tuple(Samples(one.time, one.values + 1.0) for one in shifted)),
+        _grid(_rows(1, 2)[0], np.array([0.5, 0.6])),
+        Measurement.on_grid(TIME, _rows(1, 2)[0], ("a", "b"), np.full(2, 0.5)),
+        with_samples(base, shifted),
+        with_samples(base, [Samples(one.time, one.values + 1.0) for one in shifted]),
     ]
     # The last two have no sample on an output time but the shifts of each other.
     assert len({one.digest for one in [base, *others]}) == 7
@@ -89,9 +101,7 @@ def test_the_digest_sees_values_times_weights_and_names():
         (lambda: _grid(np.zeros((6, 1)), np.zeros(1)), r"uncertainty is \[0\.\]; .* has to be positive"),
         (lambda: Samples(np.array([1.0, 1.0]), np.zeros(2)), "do not rise"),
         (
-            lambda: Measurement(
-                TIME, (Samples(np.array([0.0, 3001.0]), np.zeros(2)),), ("y",), SIGMA, np.ones(1)
-            ),
+            lambda: _sampled((Samples(np.array([0.0, 3001.0]), np.zeros(2)),), SIGMA),
             "a sample at 3001 s lies outside the output times, 0 to 3000 s",
         ),
     ],
@@ -112,8 +122,9 @@ def test_the_error_with_a_robust_loss_is_the_formula_in_the_outputs_unit(kind: L
     rng = np.random.default_rng(1)
     sigma, weights = np.array([0.5, 40.0]), np.array([1.0, 3.0])
     samples = tuple(Samples(np.sort(rng.uniform(0, 3000, m)), rng.normal(size=m)) for m in (4, 50))
-    plain = Measurement(TIME, samples, ("a", "b"), sigma, weights)
-    robust = replace(plain, losses=(None, RobustLoss(kind, 18.0)))
+    plain = _sampled(samples, sigma, weights)
+    first, second = plain.outputs
+    robust = replace(plain, outputs=(first, replace(second, loss=RobustLoss(kind, 18.0))))
     rows = _rows(3, 2)
     for row, found in zip(rows, robust.mse(rows), strict=True):
         expected = 0.0
@@ -146,13 +157,14 @@ def test_a_loss_leaves_small_differences_as_they_are_and_can_be_undone(kind: Los
 def _whitened(tau: tuple[float, float]) -> Measurement:
     rng = np.random.default_rng(2)
     samples = tuple(Samples(np.sort(rng.uniform(0, 3000, m)), rng.normal(20.0, size=m)) for m in (9, 30))
-    plain = Measurement(TIME, samples, ("a", "b"), np.array([0.5, 40.0]), np.array([1.0, 3.0]))
-    return replace(plain, correlation_s=np.array(tau))
+    first, second = _sampled(samples, np.array([0.5, 40.0]), np.array([1.0, 3.0])).outputs
+    outputs = replace(first, correlation_s=tau[0]), replace(second, correlation_s=tau[1])
+    return Measurement(TIME, outputs)
 
 
 def test_squares_of_correlated_errors_are_those_of_the_likelihood():
     measurement, rows = _whitened((900.0, 0.0)), _rows(3, 2)
-    at, scales = measurement.samples[0].time, measurement.scales
+    at, scales = measurement.outputs[0].samples.time, measurement.scales
     likely = np.linalg.inv(np.exp(-np.abs(at[:, None] - at) / 900.0))
     for row, residuals in zip(rows, measurement.compared(rows), strict=True):
         first, second = (measurement.differences(row[None], k)[0] for k in (0, 1))
@@ -164,7 +176,7 @@ def test_squares_of_correlated_errors_are_those_of_the_likelihood():
 
 def test_scaled_differences_are_those_without_a_correlation_time():
     measurement, rows = _whitened((900.0, 4000.0)), _rows(3, 2)
-    plain = replace(measurement, correlation_s=None)
+    plain = with_each(measurement, correlation_s=0.0)
     found = measurement.scaled_differences(measurement.compared(rows))
     np.testing.assert_allclose(found, plain.compared(rows), rtol=1e-9)
     assert measurement.digest != plain.digest
@@ -173,11 +185,9 @@ def test_scaled_differences_are_those_without_a_correlation_time():
 def _limited(at_least: float, at_most: float, *, is_alone: bool) -> Measurement:
     measured = _grid(_rows(1, 2)[0], np.array([0.5, 2.0]), np.array([2.0, 3.0]))
     limits = Limits(TIME[2:], at_least, at_most, is_alone=is_alone)
-    samples = (
-        Samples(TIME[2:], np.full(4, at_most)) if is_alone else measured.samples[0],
-        measured.samples[1],
-    )
-    return replace(measured, samples=samples, limits=(limits, None))
+    first, second = measured.outputs
+    samples = Samples(TIME[2:], np.full(4, at_most)) if is_alone else first.samples
+    return Measurement(TIME, (replace(first, samples=samples, limits=limits), second))
 
 
 @pytest.mark.parametrize("is_alone", [False, True])
@@ -195,10 +205,10 @@ def test_only_what_lies_beyond_a_limit_counts(is_alone: bool):
     of = [np.count_nonzero(measurement.output_of == k) for k in (0, 1)]
     assert of == [n_limited if is_alone else n_times + n_limited, n_times]
     assert sum(of) == measurement.n_samples
-    assert measurement.is_of_limits.sum() == n_limited
+    assert (~np.isin(measurement.target_of, measurement.measured)).sum() == n_limited
 
 
 def test_limits_alone_are_no_target():
     both = _limited(18.0, 21.0, is_alone=True)
     with pytest.raises(ValueError, match="no output is measured"):
-        replace(both, limits=(both.limits[0],) * 2)
+        replace(both, outputs=both.outputs[:1] * 2)

@@ -24,7 +24,7 @@ def test_points_are_compared_on_both_periods(whole_run: Path) -> None:
     point = validation.points["middle"]
     assert point.mse_window == case.measurement.mse(window.y)[0]
     # The half hours after day 10 until day 12, against the plain formula.
-    measured = case.validation.measurement.samples[0]
+    measured = case.validation.measurement.outputs[0].samples
     assert measured.time[[0, -1]].tolist() == [10 * 86400 + 1800, 12 * 86400]
     difference = answer.y[0, -96:, 0] - measured.values
     assert point.mse == pytest.approx(np.mean(difference**2), rel=1e-12)

@@ -53,11 +53,13 @@ def make_instance(case: Case, truth: Truth, white: tuple[float, ...], seed: int)
     theta = dict(zip(case.parameter_space.names, case.parameter_space.from_unit(u), strict=True))
     y = truth(case, theta, rng)
     measured = case.measurement
-    samples = []
-    for k, one in enumerate(measured.samples):
-        values = np.interp(one.time, measured.time, y[:, k])
-        samples.append(Samples(one.time, values + white[k] * rng.standard_normal(values.size)))
-    return Instance(replace(case, measurement=replace(measured, samples=tuple(samples)), references=()), u)
+    outputs = []
+    for k, one in enumerate(measured.outputs):
+        at = one.samples.time
+        values = np.interp(at, measured.time, y[:, k])
+        noisy = Samples(at, values + white[k] * rng.standard_normal(values.size))
+        outputs.append(replace(one, samples=noisy))
+    return Instance(replace(case, measurement=replace(measured, outputs=tuple(outputs)), references=()), u)
 
 
 def white_box(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:

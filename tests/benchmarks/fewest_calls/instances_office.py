@@ -10,6 +10,7 @@ from fewest_calls.instances import Instance
 from fewest_calls.noise import red_noise
 from simulation import Case, Measurement, load_case
 from simulation.arrays import FloatArray
+from simulation.samples import Samples
 
 ROOT = Path(__file__).parents[3]
 WINDOWS_D = ((0.0, 10.0), (8.0, 16.0), (0.0, 21.0))
@@ -33,9 +34,8 @@ def office_instance(seed: int) -> Instance:
     room = _truth(case, dict(zip(case.parameter_space.names, theta, strict=True)), rng)
     noise = red_noise(rng, room.size, rng.uniform(3.0, 24.0)) * rng.uniform(0.02, 0.06)
     y = room + noise + rng.uniform(0.01, 0.04) * rng.standard_normal(room.size)
-    measurement = Measurement.on_grid(
-        case.measurement.time, y[:, None], case.measurement.output_names, case.measurement.uncertainty
-    )
+    measured = replace(case.outputs[0], samples=Samples(case.measurement.time, y))
+    measurement = Measurement(case.measurement.time, (measured,))
     return Instance(replace(case, measurement=measurement, references=()), u)
 
 
