@@ -394,6 +394,14 @@ class ReferenceTable(_WindowTable):
     target: bool = False
 
 
+class NamedTable(BaseModel):
+    """A table with a name, whose other keys are read once it is whole."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+    name: Name
+
+
 class ExperimentTable(Table):
     """Key [[experiments]]: one of several recordings that the same parameters explain.
 
@@ -419,8 +427,8 @@ class ExperimentTable(Table):
     interface: Interface | None = None
     data: Line | None = None
     time: dict[str, Any] = {}
-    inputs: list[dict[str, Any]] = []
-    outputs: list[dict[str, Any]] = []
+    inputs: list[NamedTable] = []
+    outputs: list[NamedTable] = []
     fixed: dict[str, FixedValue] = {}
 
 

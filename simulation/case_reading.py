@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from simulation.case_file import CaseFile, ExperimentTable, FirstMeasured, ValueWithUnit
+from simulation.case_file import CaseFile, ExperimentTable, FirstMeasured, NamedTable, ValueWithUnit
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
@@ -34,7 +34,14 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class _Experiments(BaseModel):
+    """What experiments change parts of, and the experiments."""
+
     experiments: list[ExperimentTable]
+    inputs: list[NamedTable] = []
+    outputs: list[NamedTable] = []
+    parameters: list[NamedTable] = []
+    time: dict[str, Any] = {}
+    fixed: dict[str, Any] = {}
 
 
 def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
@@ -56,7 +63,7 @@ def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
                     f"{path}: parameters[{one.name}].per_experiment needs [[experiments]]; drop it"
                 )
         return (ReadExperiment("", file),)
-    tables = _validated(_Experiments, {"experiments": content["experiments"]}, str(path)).experiments
+    tables = _validated(_Experiments, content, str(path)).experiments
     for name, n in Counter(table.name for table in tables).items():
         if n > 1:
             raise InputError(f"{path}: experiments[{name}] is declared {n} times; keep one")
@@ -85,11 +92,11 @@ def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[st
     whole = {key: value for key, value in content.items() if key != "experiments"}
     said = table.model_dump(exclude_unset=True, exclude={"name", "held_out", "weight"})
     for key in ("inputs", "outputs"):
-        usual = {one.get("name"): one for one in whole.get(key, []) if isinstance(one, dict)}
-        own = [{**usual.get(one.get("name"), {}), **one} for one in said.pop(key, [])]
+        usual = {one["name"]: one for one in whole.get(key, [])}
+        own = [{**usual.get(one["name"], {}), **one} for one in said.pop(key, [])]
         # Inputs all need a source; outputs are what this experiment measured.
-        kept = [*usual.values()] if key == "inputs" or not own else []
-        names = {one.get("name") for one in own}
+        kept = whole.get(key, []) if key == "inputs" or not own else []
+        names = {one["name"] for one in own}
         whole[key] = [one for one in kept if one["name"] not in names] + own
     time = dict(whole.get("time", {}))
     if said.get("time", {}).keys() & {"window_d", "window_s"}:
@@ -97,10 +104,7 @@ def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[st
     whole["time"] = time | said.pop("time", {})
     whole["fixed"] = whole.get("fixed", {}) | said.pop("fixed", {})
     # What an experiment knows is no parameter of it.
-    parameters = whole.get("parameters", [])
-    whole["parameters"] = [
-        one for one in parameters if not isinstance(one, dict) or one.get("name") not in table.fixed
-    ]
+    whole["parameters"] = [one for one in whole.get("parameters", []) if one["name"] not in table.fixed]
     return whole | said
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_once import made_once
 from mlflow_store_for_tests import give_store
-from project_for_tests import Run, add_case, copy_of, make_project, stored_result, stored_simulations
+from project_for_tests import Run, add_case, copy_of, edit, make_project, stored_result, stored_simulations
 
 from simulation.case import load_case
 from studies.cli import main
@@ -166,12 +166,16 @@ def test_an_experiment_may_be_driven_in_another_way(new_project: Path, studies: 
             "has a value of its own in each experiment, and last is held out",
         ),
         ("start_d = 2 }", "start_d = 2, output_step_s = 1200 }", "give all the same output_step_s"),
+        ('name = "TOut"\n', "", "key inputs[1].name is missing; add it"),
+        ('name = "TOut"\n', 'name = ["TOut"]\n', "inputs[1].name: is no text"),
+        ('name = "TOut"\n', 'name = "TIn"\n', "inputs[TIn] is declared 2 times"),
+        ('{ name = "TMasonry" }', "{ weight = 1.0 }", "key experiments[second].outputs[0].name is missing"),
     ],
 )
 def test_what_is_wrong_is_one_line(old: str, new: str, message: str, new_project: Path, studies: Run) -> None:
     file = add_case(new_project)
-    assert old in EXPERIMENTS
-    with_experiments(file, EXPERIMENTS.replace(old, new, 1))
+    with_experiments(file)
+    edit(file, (old, new))
     answer = studies("check", "wall")
 
     assert answer.code == 2
