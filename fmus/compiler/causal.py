@@ -142,16 +142,16 @@ def _actions(model: FlatModel, algebraic: dict[str, Any]) -> tuple[Action, ...]:
 def _solve_block(equations: Any, unknowns: list[Any], model_name: str) -> list[Any]:
     stacked = column(unknowns)
     matrix = ca.jacobian(equations, stacked)
-    said = f"{model_name}: the equations of {', '.join(symbol.name() for symbol in unknowns)}"
+    block_name = f"{model_name}: the equations of {', '.join(symbol.name() for symbol in unknowns)}"
     if ca.depends_on(matrix, stacked):
-        raise CompileError(f"{said} are nonlinear in them; solve by hand or add a storage")
+        raise CompileError(f"{block_name} are nonlinear in them; solve by hand or add a storage")
     at_zero = ca.substitute(equations, stacked, ca.SX.zeros(stacked.shape))
     indices = range(len(unknowns))
     rows = [[matrix[i, j] for j in indices] for i in indices]
-    return _eliminate(rows, [-at_zero[i] for i in indices], said)
+    return _eliminate(rows, [-at_zero[i] for i in indices], block_name)
 
 
-def _eliminate(matrix: list[list[Any]], right: list[Any], said: str) -> list[Any]:
+def _eliminate(matrix: list[list[Any]], right: list[Any], block_name: str) -> list[Any]:
     """Gaussian elimination on expressions.
 
     A number is taken as pivot before an expression: in networks of conductances that leaves sums of
@@ -163,7 +163,7 @@ def _eliminate(matrix: list[list[Any]], right: list[Any], said: str) -> list[Any
     for _ in range(n):
         pivot = _pivot(matrix, free_rows, free_columns)
         if pivot is None:
-            raise CompileError(f"{said} contradict each other")
+            raise CompileError(f"{block_name} contradict each other")
         row, col = pivot
         free_rows.remove(row)
         free_columns.remove(col)
