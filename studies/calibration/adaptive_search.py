@@ -140,7 +140,7 @@ class AdaptiveSearch:
         n_good = np.isfinite(self._objective).sum()
         # A process needs two rows that succeeded.
         if n_good < 2 and self._believed is None:
-            return partial(self._ask, self._rng.random((self._settings.n_parallel, self._p)))
+            return self._ask_anywhere
         if not n_good:
             return self._ask_by_equations
         if self._network is not None:
@@ -270,6 +270,10 @@ class AdaptiveSearch:
             return
         self._ask(point[None])
         self._phase.lowest.append(self._phase_best)
+
+    def _ask_anywhere(self) -> None:
+        """Ask a round of random rows."""
+        self._ask(self._rng.random((self._settings.n_parallel, self._p)))
 
     def _beyond_rows(self, ode: LearnedODE) -> Callable[[], None] | None:
         """Return what may show that the model does more than equations know, None for nothing."""

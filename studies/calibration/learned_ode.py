@@ -452,6 +452,8 @@ class LearnedODE:
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         measurement = self._problem.measurement
+        if n_outputs is None:
+            return measurement.compared(self.outputs(u))
         y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
         y[:, :n_outputs] = self.outputs(u, n_outputs)
         return measurement.compared(y)

@@ -281,10 +281,7 @@ class Stage(Generic[T]):
         outcome = None
         with suppress(InputError):  # what cannot be read is done again
             outcome = read_outcome(self.study.results, self.name, self.kind)
-        result = None if outcome is None else outcome.result
-        # Simulated sets and Sobol indices say themselves whether failures cost something.
-        has_failures = getattr(result, "has_failures", getattr(result, "n_failed", 0))
-        if outcome is None or (self.study.retry_failed and has_failures):
+        if outcome is None or (self.study.retry_failed and getattr(outcome.result, "has_failures", False)):
             self.file.unlink(missing_ok=True)
             return None
         self.study.console.say(f"{self.name}: finished before")

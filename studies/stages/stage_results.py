@@ -466,6 +466,11 @@ class Calibration:
     start_watched: BoolArray | None = None
 
     @property
+    def has_failures(self) -> bool:
+        """Whether a row failed."""
+        return self.n_failed > 0
+
+    @property
     def is_adaptive(self) -> bool:
         """Whether it needed no surrogate."""
         return self.method == ADAPTIVE
@@ -635,6 +640,11 @@ class Uncertainty:
     predictive: FloatArray
 
     @property
+    def has_failures(self) -> bool:
+        """Whether a row failed."""
+        return self.n_failed > 0
+
+    @property
     def linear(self) -> FloatArray:
         """Linearised intervals. Shape (2, p). [per parameter]."""
         return np.array([one.linear for one in self.parameters.values()]).T
@@ -684,6 +694,11 @@ class Prediction:
     y: FloatArray
     simulated: FloatArray | None = None
     predictive: FloatArray | None = None
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether a simulation failed."""
+        return self.n_failed > 0
 
     def columns(self) -> Iterator[tuple[str, FloatArray]]:
         """Give the columns of the table with their names."""
