@@ -19,3 +19,11 @@ def errors_at(place: object) -> Iterator[None]:
         yield
     except InputError as error:
         raise type(error)(f"{place}: {error}") from None
+
+
+class ReuseError(RuntimeError):
+    """Simulations of one process depended on each other; those that may be wrong are removed.
+
+    From then on each simulation has a process of its own. Whatever was concluded from the removed ones is to
+    be done again.
+    """

@@ -68,6 +68,11 @@ class ExperimentRows:
             rows.failures,
         )
 
+    def prepare(self) -> None:
+        """Read what opening the models reads, for forks of this process."""
+        for one in self.settings:
+            one.prepare()
+
     def open(self) -> "ExperimentsModel":
         """Open the models; the bound method is the factory that worker processes are given."""
         return ExperimentsModel(self)

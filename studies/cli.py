@@ -22,7 +22,7 @@ from types import ModuleType
 from typing import NoReturn, TextIO
 
 import studies.commands
-from simulation.errors import InputError, MachineError
+from simulation.errors import InputError, MachineError, ReuseError
 from simulation.foreign_text import escaped, shortened
 from simulation.pool.safe_start import start_safely
 from studies.commands import options
@@ -77,8 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from studies.command_folder import give_temporary_folder
 
             give_temporary_folder()
-        answer: int = command_module(chosen.command).run(chosen, console)
-        return answer
+        return _run(chosen, console)
     except SystemExit as done:  # help, version
         return int(done.code or 0)
     except (Exception, KeyboardInterrupt) as error:
@@ -89,6 +88,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         except OSError:
             # The report cannot be written either.
             return FAILED
+
+
+def _run(chosen: argparse.Namespace, console: Console) -> int:
+    """Run a command; anew where simulations that it began with were wrong and are removed."""
+    run = command_module(chosen.command).run
+    try:
+        return int(run(chosen, console))
+    except ReuseError as error:
+        console.warn(f"{error}; the command begins anew")
+        return int(run(chosen, console))
 
 
 def is_interrupt(error: BaseException | None) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
+from simulation.errors import ReuseError
 from simulation.experiments import JoinedModel
 from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
@@ -20,9 +21,9 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from studies.calibration.experiments_ode import watched_model
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.states import StateSignals, WatchedModel, watching_states, why_unwatched
 from studies.paths import ProjectPaths
-from studies.stages.pipeline import StageError, Study
+from studies.stages.pipeline import StageError, Study, read_json
 
 
 def store_file(paths: ProjectPaths, case: Case) -> Path:
@@ -47,6 +48,8 @@ def open_physical_model(
 
     Raises:
         StageError: too many simulations fail; those that are finished are kept.
+        ReuseError: simulations of one process depended on each other; those that may be wrong are removed,
+            with the results that came from them.
     """
     case = case or study.case
     with ExitStack() as opened:
@@ -60,6 +63,8 @@ def open_physical_model(
                 time=one.scenario.time,
             )
             stores.append(opened.enter_context(part))
+            if never_reused_file(study.paths, one).is_file() and not part.is_reuse_given_up:
+                part.give_up_reuse()
         n_jobs, executor = study.n_jobs, None
         if study.dask is not None:
             # Dask takes a second to import.
@@ -79,6 +84,40 @@ def open_physical_model(
             yield stored
         except TooManyFailuresError as stopped:
             raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+        except ReuseError:
+            give_up_reuse(study)
+            raise
+
+
+def never_reused_file(paths: ProjectPaths, case: Case) -> Path:
+    """Return the file that says of a case's FMU that each simulation needs a process of its own."""
+    simulations = paths.generated(case.name) / "simulations"
+    return simulations / f"{case.fmu.sha256[:16]}.own-process"
+
+
+def give_up_reuse(study: Study) -> None:
+    """Remember that a case's FMU does not forget a simulation, and remove what may be wrong by that.
+
+    Removed are the stored simulations of the case that came after others in a process, also of its watched
+    states and its validation period, and the finished stages of this case file.
+
+    Args:
+        study: the case.
+    """
+    case = study.case
+    family = [case] if case.validation is None else [case, case.validation]
+    family += [watching_states(one) for one in family if not why_unwatched(one)]
+    for one in [member for joined in family for member in joined.experiments or (joined,)]:
+        never = never_reused_file(study.paths, one)
+        never.parent.mkdir(parents=True, exist_ok=True)
+        never.touch()
+        if (file := store_file(study.paths, one)).is_file():
+            with SimulationStore.at(file) as store:
+                store.give_up_reuse()
+    recorded = study.paths.recorded(case.path)
+    for manifest in study.results.parent.glob("*/*.json"):
+        if (read_json(manifest) or {}).get("case_file") == recorded:
+            manifest.unlink()
 
 
 @contextmanager
@@ -221,8 +260,21 @@ class StoredWatchedModel(StoredModel):
         answer = self.watching.simulate_more(theta)
         # What fails where states are read need not fail without.
         is_better = ~self.store.find(theta) | (~self.store.find_good(theta) & ~answer.failed)
-        self.store.append(answer.take(self.watched(theta) & is_better))
+        taken = self.watched(theta) & is_better
+        self.store.append(answer.take(taken), self._rows.store.first(theta[taken]))
         return answer
+
+    @property
+    def simulation_s(self) -> float | None:
+        """Time of a simulation with its states, or without, None where nothing was simulated yet. [s]."""
+        return self._rows.simulation_s or self._plain.simulation_s
+
+    def repeats(self, theta: FloatArray) -> bool:
+        """Repeat a stored row, with its states if it has them, see `StoredModel.repeats`."""
+        asked = self._rows if self.watched(theta[None])[0] else self._plain
+        does = asked.repeats(theta)
+        self.reuse = asked.reuse
+        return does
 
     def _without_states(self, theta: FloatArray) -> Trajectories:
         # One after the other: there may be a licence for one of them.

@@ -37,7 +37,13 @@ if TYPE_CHECKING:
 
 Numbers = Mapping[str, Any]
 """Nested JSON values and arrays by name."""
-OF_THE_STORE = ("n_simulated", *(f"screening.{of}" for of in SURROGATE_FIELDS))
+OF_THE_STORE = (
+    "n_simulated",
+    "ledger.n_repeated",
+    "ledger.total_calls",
+    "has_own_processes",
+    *(f"screening.{of}" for of in SURROGATE_FIELDS),
+)
 """Of a calibration: what depends on what is stored, or says which surrogate was taken."""
 
 

@@ -16,6 +16,13 @@ from simulation.fmi.start import RunPlan, Start
 _TERMINATED = 3
 
 
+def prepare() -> None:
+    """Compile the loop, for whatever FMU; twice takes no time."""
+    table, times = np.zeros((0, 5), dtype=np.intp), np.zeros(1)
+    references = np.zeros(0, dtype=np.uint32)
+    make_ready(step_through, table[:, 0].copy(), 0, table, references, times, 1, times, np.zeros((1, 0)))
+
+
 class CoSimulation:
     """A Solver of co-simulation FMUs."""
 
@@ -37,7 +44,7 @@ class CoSimulation:
         self._addresses = instance.addresses(*FUNCTIONS)
         self._reached = np.zeros(1)
         # Before the first row, whose time may be limited: compiling takes seconds where nothing is cached.
-        make_ready(step_through, *self._arguments(plan.empty_y()))
+        prepare()
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row; see Solver."""

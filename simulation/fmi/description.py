@@ -163,6 +163,29 @@ class FmuDescription:
         return variable
 
 
+# The descriptions that this process has read, by the identity of their files.
+_read: dict[tuple[object, ...], "FmuDescription"] = {}
+
+
+def known_description(path: Path) -> FmuDescription:
+    """Return what `read_description` does; a file that has not changed since is not read again.
+
+    Args:
+        path: The FMU.
+
+    Raises:
+        InputError: As `read_description`.
+    """
+    try:
+        file = path.stat()
+    except OSError:
+        return read_description(path)
+    key = path, file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns
+    if key not in _read:
+        _read[key] = read_description(path)
+    return _read[key]
+
+
 def read_description(path: Path) -> FmuDescription:
     """Read the model description of an FMI 2.0 or 3.0 FMU.
 

@@ -10,6 +10,7 @@ from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.fmi import exchange_calls as calls
 from simulation.fmi import exchange_loop as loop
+from simulation.fmi.call import make_ready
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.start import RunPlan, Start
@@ -42,6 +43,14 @@ FLAGS = {
     -11: "the derivatives could not be calculated (CV_UNREC_RHSFUNC_ERR)",
     -12: "the event indicators could not be calculated (CV_RTFUNC_FAIL)",
 }
+
+
+def prepare() -> None:
+    """Compile the loop, for whatever FMU; twice takes no time."""
+    table, places = np.zeros((0, 5), dtype=np.intp), np.zeros(0, dtype=np.int64)
+    references, values = np.zeros(0, dtype=np.uint32), np.zeros(0)
+    y = np.zeros((0, 0))
+    make_ready(loop.simulate_row, places, table, table, places, references, values, 1, 1.0, (values,) * 3, y)
 
 
 class ModelExchange:
@@ -90,6 +99,8 @@ class ModelExchange:
         inputs = plan.scenario.inputs
         is_change = np.any(inputs[1:] != inputs[:-1], axis=1)
         self._changes = np.append(1 + np.flatnonzero(is_change), plan.n_steps)
+        # Before the first row, whose time may be limited: compiling takes seconds where nothing is cached.
+        prepare()
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row; see Solver."""

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.fmi import cosimulation
 from simulation.fmi.cosimulation import CoSimulation
-from simulation.fmi.description import FmuDescription, read_description
+from simulation.fmi.description import FmuDescription, known_description
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.reset_proof import RestartingRunner
 from simulation.fmi.runner import Solver
@@ -112,6 +113,16 @@ class FmuSettings:
             tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
         )
 
+    def prepare(self) -> None:
+        """Read and compile what opening the model needs, for forks of this process; the FMU is not loaded."""
+        known_description(self.path)
+        if self.interface == "co-simulation":
+            cosimulation.prepare()
+        else:
+            from simulation.fmi import exchange
+
+            exchange.prepare()
+
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the factory that worker processes are given."""
         return FmuModel(self)
@@ -142,7 +153,7 @@ class FmuModel:
         self._settings = settings
         self.parameter_space, self.output_names = settings.parameter_space, settings.output_names
         self.time = settings.scenario.time
-        description = read_description(settings.path)
+        description = known_description(settings.path)
         description.interface(settings.interface, str(settings.path))
         plan = settings.plan(description)
         # The warm-up is simulated into rows that are not handed out.

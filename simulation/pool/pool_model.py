@@ -9,17 +9,25 @@ from contextlib import closing
 from math import inf
 from pathlib import Path
 from time import monotonic
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from simulation.pool.chunks import RowQueue
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.processes import Processes, ProcessLostError, RemoteModel
-from simulation.pool.worker_process import MAX_CHUNK_BYTES, ChunkAnswer, Factory, Facts, known_facts, packed
+from simulation.pool.worker_process import (
+    MAX_CHUNK_BYTES,
+    ChunkAnswer,
+    Factory,
+    Facts,
+    NewProcess,
+    known_facts,
+    packed,
+)
 from simulation.trajectories import Trajectories
 
 _LOG = logging.getLogger(__name__)
@@ -40,14 +48,40 @@ _SLOW_FACTOR = 20.0
 _SLOW_S = 60.0
 # A row that is lost so often with its process may be the reason.
 _MAX_LOSSES = 5
+# Where a process costs less than this share of a simulation, each simulation gets a new one. [1]
+_SMALL_SHARE = 0.1
+# So much a batch may lose to new processes without a user who waits for it noticing. [s]
+_UNNOTICED_S = 4.0
+# The first opening may have compiled something: it takes two to know what opening costs.
+_N_OPENINGS = 2
+
+
+class Finished(NamedTuple):
+    """Rows of a batch that have finished.
+
+    Attributes:
+        rows: Their positions in the batch. Shape (m,).
+        answer: Their trajectories.
+        is_first: Which of them were the first of their process: no row before them can have changed their
+            answers. Shape (m,).
+    """
+
+    rows: IntArray
+    answer: Trajectories
+    is_first: BoolArray
 
 
 class PoolModel:
     """A model whose every row is simulated in a worker process, never in this one.
 
     A crash, a hang or a leak costs one row. Processes start with the first row, as many as the rows are
-    worth, and stay until close(). The answer is the same, bit for bit, whoever simulates which row. Not for
-    use from several threads at once.
+    worth. Where a new process costs little, each row gets one, and nothing that an FMU remembers can reach
+    it: where it takes less than a tenth of a simulation, and in batches too small for the difference to
+    be noticed. Else processes stay until close() and simulate one row after the other; `Finished.is_first`
+    says which rows were not the first. Not for use from several threads at once.
+
+    Attributes:
+        always_new: Whether each row gets a process of its own, whatever that costs.
     """
 
     def __init__(
@@ -92,6 +126,8 @@ class PoolModel:
             send_file = getattr(executor, "send_file", None)
             digest = send_file(file) if send_file is not None and isinstance(file, Path) else ""
             self._remote = RemoteModel(packed(make_model), digest, self._policy)
+        self.always_new = False
+        self._opening_s, self._n_openings = inf, 0
         self._row_s: float | None = None
         self._slowest_s: float | None = None
         self._n_answers = 0
@@ -104,6 +140,16 @@ class PoolModel:
         return min(n, self._policy.max_workers or n)
 
     @property
+    def opening_s(self) -> float:
+        """Least time that a process has taken to start and to open the model, infinite for none. [s]."""
+        return self._opening_s
+
+    @property
+    def simulation_s(self) -> float | None:
+        """Time of a simulation without what opens the model, None where nothing was simulated yet. [s]."""
+        return self._row_s
+
+    @property
     def n_processes(self) -> int:
         """Worker processes that there are now on this machine."""
         return self._processes.n
@@ -112,7 +158,7 @@ class PoolModel:
     def _known(self) -> Facts:
         if self._facts is None:
             try:
-                facts = self._submit(np.empty((0, 0)), 0.0).result()
+                facts = self._submit(np.empty((0, 0)), 0.0, NewProcess.WHEN_NEEDED).result()
             except BaseException:
                 self.close()
                 raise
@@ -135,14 +181,15 @@ class PoolModel:
         """The model's output times. Shape (t,). [s]."""
         return self._known.time
 
-    def simulate(self, theta: FloatArray) -> Trajectories:
+    def simulate(self, theta: FloatArray, new_process: NewProcess | None = None) -> Trajectories:
         """Simulate every row.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
+            new_process: Which rows are the first of their process; None for what this class says.
 
         Returns:
-            The same trajectories as from one process, bit for bit.
+            The trajectories.
 
         Raises:
             InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
@@ -150,27 +197,29 @@ class PoolModel:
         theta = self.parameter_space.rows(theta)
         y = np.empty((len(theta), len(self.time), len(self.output_names)))
         failures = np.full(len(theta), "", dtype=object)
-        with closing(self.as_finished(theta)) as chunks:
-            for rows, answer in chunks:
+        with closing(self.as_finished(theta, new_process)) as chunks:
+            for rows, answer, _ in chunks:
                 y[rows], failures[rows] = answer.y, answer.failures
         return self._trajectories(theta, y, tuple(failures.tolist()))
 
-    def as_finished(self, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
+    def as_finished(self, theta: FloatArray, new_process: NewProcess | None = None) -> Generator[Finished]:
         """Simulate every row and hand over chunks as they finish, in any order.
 
         Close the generator (contextlib.closing) where not all of it is asked for: that ends what is running.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
+            new_process: Which rows are the first of their process; None for what this class says. With
+                AT_FIRST all rows go to one process, in their order, as long as none of them ends it.
 
         Yields:
-            Which rows have finished, and their trajectories. Shape (m,).
+            Rows that have finished.
 
         Raises:
             InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
         """
         theta = self.parameter_space.rows(theta)
-        batch = _Batch(self, theta)
+        batch = _Batch(self, theta, new_process)
         try:
             while batch.queue.n_waiting or batch.running:
                 batch.hand_out()
@@ -188,12 +237,23 @@ class PoolModel:
                     future.cancel()
                 self.close()
 
-    def _submit(self, theta: FloatArray, budget_s: float) -> "Future[ChunkAnswer | Facts]":
+    def _chosen(self, n: int) -> NewProcess:
+        """Return which of n rows begin in a new process."""
+        allowed_s = max(_UNNOTICED_S / n, _SMALL_SHARE * (self._row_s or 0.0))
+        is_known = self._n_openings >= _N_OPENINGS or self._opening_s > _SURELY_SLOW_S
+        if self.always_new or not is_known or self._opening_s <= allowed_s:
+            return NewProcess.EACH_ROW
+        return NewProcess.WHEN_NEEDED
+
+    def _submit(
+        self, theta: FloatArray, budget_s: float, new_process: NewProcess
+    ) -> "Future[ChunkAnswer | Facts]":
+        question = theta, budget_s, self._slowest_s, new_process
         if self._executor is not None and self._remote is not None:
-            return self._executor.submit(self._remote.simulate, theta, budget_s, self._slowest_s)
+            return self._executor.submit(self._remote.simulate, *question)
         if self._threads is None:
             self._threads = ThreadPoolExecutor(self.n_workers, "simulate")
-        return self._threads.submit(self._processes.simulate, theta, budget_s, self._slowest_s)
+        return self._threads.submit(self._processes.simulate, *question)
 
     def _trajectories(self, theta: FloatArray, y: FloatArray, failures: tuple[str, ...]) -> Trajectories:
         names = self.parameter_space.names
@@ -219,9 +279,10 @@ class PoolModel:
 class _Batch:
     """The rows of one call: those that wait and those that a process has."""
 
-    def __init__(self, model: PoolModel, theta: FloatArray) -> None:
+    def __init__(self, model: PoolModel, theta: FloatArray, new_process: NewProcess | None) -> None:
         self._model = model
         self._theta = theta
+        self._wanted = new_process
         self._chunk_s = _CHUNK_S if model._executor is None else _REMOTE_CHUNK_S
         max_rows = max(1, MAX_CHUNK_BYTES // (8 * len(model.time) * len(model.output_names)))
         self.queue = RowQueue(len(theta), chunk_s=self._chunk_s, max_rows=max_rows)
@@ -235,10 +296,25 @@ class _Batch:
         """Have as many chunks simulated at a time as their rows are worth."""
         model = self._model
         while self.queue.n_waiting and len(self.running) < self._worth_running():
-            rows = self.queue.take(model._row_s, model.n_workers)
-            budget_s = _MAX_OVERRUN * max(self._chunk_s, len(rows) * (model._row_s or 0.0))
-            future = model._submit(self._theta[rows.start : rows.stop], budget_s)
+            if self._wanted is NewProcess.AT_FIRST:
+                rows, budget_s = self.queue.take(0.0, 1), inf
+            else:
+                rows = self.queue.take(self._row_s, model.n_workers)
+                budget_s = _MAX_OVERRUN * max(self._chunk_s, len(rows) * (self._row_s or 0.0))
+            future = model._submit(self._theta[rows.start : rows.stop], budget_s, self._new_process)
             self.running[future] = rows, monotonic(), model._slowest_s
+
+    @property
+    def _new_process(self) -> NewProcess:
+        return self._wanted or self._model._chosen(len(self._theta))
+
+    @property
+    def _row_s(self) -> float | None:
+        """Expected time of a row with what opens its process, None where nothing is known. [s]."""
+        model = self._model
+        if model._row_s is None or self._new_process is not NewProcess.EACH_ROW:
+            return model._row_s
+        return model._row_s + model._opening_s
 
     def _worth_running(self) -> int:
         model, processes = self._model, self._model._processes
@@ -246,8 +322,8 @@ class _Batch:
         if model._executor is not None:
             # One is on its way while one is simulated.
             return 2 * n
-        if model._row_s is not None and model._n_answers >= _N_SURE:
-            row_s = model._row_s
+        if self._row_s is not None and model._n_answers >= _N_SURE:
+            row_s = self._row_s
         opened_s = monotonic() - max(list(processes.opened.values()), default=inf)
         if (spent_s := min(self._longest_s, opened_s)) > max(row_s, _SURELY_SLOW_S):
             row_s = spent_s
@@ -255,7 +331,7 @@ class _Batch:
         worth = n_now + int(self.queue.n_waiting * row_s / (n_now * START_PAYS_S))
         return min(n, worth, self._max_running or n)
 
-    def finished(self, future: "Future[ChunkAnswer | Facts]") -> Generator[tuple[IntArray, Trajectories]]:
+    def finished(self, future: "Future[ChunkAnswer | Facts]") -> Generator[Finished]:
         """Yield what became of a chunk, and let others have what is left of it."""
         model, (rows, *_) = self._model, self.running.pop(future)
         try:
@@ -273,7 +349,8 @@ class _Batch:
                 self.queue.put(rows[:middle])
                 return
             y = np.full((1, len(model.time), len(model.output_names)), np.nan)
-            answer = ChunkAnswer(y, (f"the process that simulated it was lost {n_losses} times",), None)
+            reason = f"the process that simulated it was lost {n_losses} times"
+            answer = ChunkAnswer(y, (reason,), None, np.zeros(1, dtype=np.bool_))
         except (InputError, RuntimeError) as refused:
             n_open = len(model._processes.opened)
             if n_open == 0:
@@ -290,6 +367,8 @@ class _Batch:
         assert isinstance(answer, ChunkAnswer), "the answer to rows"
         done = rows[: len(answer.failures)]
         self.queue.put(rows[len(done) :])
+        model._opening_s = min(model._opening_s, answer.opening_s)
+        model._n_openings += int(answer.is_first.sum())
         if answer.row_s is not None:
             model._n_answers += 1
             model._slowest_s = max(model._slowest_s or 0.0, answer.row_s)
@@ -297,7 +376,8 @@ class _Batch:
             if model._n_answers > 1:
                 model._row_s = min(answer.row_s, 0.5 * ((model._row_s or answer.row_s) + answer.row_s))
         theta = self._theta[done.start : done.stop].copy()
-        yield np.array(done, dtype=np.int64), model._trajectories(theta, answer.y, answer.failures)
+        trajectories = model._trajectories(theta, answer.y, answer.failures)
+        yield Finished(np.array(done, dtype=np.int64), trajectories, answer.is_first)
         self._n_done += len(done)
         self._reasons += filter(None, answer.failures)
         model._policy.check(self._n_done, self._reasons)

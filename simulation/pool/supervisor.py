@@ -30,8 +30,10 @@ from simulation.pool.worker_process import (
     ChunkAnswer,
     End,
     Factory,
+    NewProcess,
     Opened,
     SharedRows,
+    prepare,
     refusal,
     remember,
     subject,
@@ -80,8 +82,8 @@ def supervise(parent: Connection, job: Job) -> None:
     """Be a supervisor until the far end of a connection closes.
 
     Args:
-        parent: To the process that asks: theta and a time come, a ChunkAnswer goes. Opened goes before the
-            first answer; an exception is the last word.
+        parent: To the process that asks: theta, times and which rows need a new process come, a ChunkAnswer
+            goes. Opened goes before the first answer; an exception is the last word.
         job: What to simulate.
     """
     adopt_orphans()
@@ -132,8 +134,10 @@ class _Supervisor:
         self._worker: _Worker | None = None
         self._n_workers = 0
         self._slowest_s: float | None = None
+        self._opening_s = inf
         self._is_busy = True
         self._scratch = ScratchFolder(SCRATCH_PREFIX)
+        prepare(self._make_model)
 
     def serve(self) -> None:
         """Answer; the first time, the model is opened."""
@@ -143,12 +147,12 @@ class _Supervisor:
                 [self._parent, self._worker.connection]
             ):
                 self._end(self._worker, 0.0)  # it ended by itself
-            theta, budget_s, self._slowest_s = self._parent.recv()
+            theta, budget_s, self._slowest_s, new_process = self._parent.recv()
             self._is_busy = True
             if self._opened is None:
                 self._open()
                 self._parent.send(self._opened)
-            self._parent.send(self._simulated(theta, monotonic() + budget_s))
+            self._parent.send(self._simulated(theta, monotonic() + budget_s, new_process))
 
     def close(self) -> None:
         """End the worker and all that it started, and remove what they wrote."""
@@ -162,10 +166,12 @@ class _Supervisor:
         """Return a worker with an open model."""
         pauses_s = iter(_PAUSES_S)
         while True:
+            began = monotonic()
             worker = self._fork()
             answer = self._first_words(worker)
             if isinstance(answer, Opened):
                 self._opened = answer
+                self._opening_s = min(self._opening_s, monotonic() - began)
                 self._rows.map(answer.facts)
                 return worker
             if (pause_s := next(pauses_s, None)) is None:
@@ -246,26 +252,31 @@ class _Supervisor:
 
     # Rows
 
-    def _simulated(self, theta: FloatArray, deadline: float) -> ChunkAnswer:
+    def _simulated(self, theta: FloatArray, deadline: float, new_process: NewProcess) -> ChunkAnswer:
         """Simulate rows until all are finished or the time is up."""
         n, policy = len(theta), self._policy
         y, failures = np.full((n, *self._rows.y.shape[1:]), np.nan), [""] * n
+        is_first = np.zeros(n, dtype=np.bool_)
         row, n_done, spent_s = 0, 0, 0.0
         tries: Counter[End] = Counter()
+        is_alone = new_process is NewProcess.EACH_ROW
+        if new_process is not NewProcess.WHEN_NEEDED and self._worker is not None and self._worker.n_rows:
+            self._end(self._worker, _CLOSING_S)
         while row < n and (row == 0 or tries or monotonic() < deadline):
             worker = self._worker or self._open()
-            part = theta[row : row + self._rows.capacity]
+            part = theta[row : row + (1 if is_alone else self._rows.capacity)]
             failures[row : row + len(part)] = [""] * len(part)
             end = self._run(worker, part, min(deadline, monotonic() + _LOOK_S), failures, row)
             done = int(self._rows.done[0])
             was_between = self._rows.begun[0] == done
             y[row : row + done] = self._rows.y[:done]
+            is_first[row : row + done][:1] = worker.n_rows == 0
             row, n_done, spent_s = row + done, n_done + done, spent_s + self._rows.spent[0]
             worker.n_rows += done
             if done:
                 tries.clear()
             if end in (End.DONE, End.LEAVES):
-                if end is End.LEAVES or self._is_worn_out(worker):
+                if end is End.LEAVES or is_alone or self._is_worn_out(worker):
                     self._end(worker, _CLOSING_S)
                 # One that has answered rows has done its part.
                 if worker.n_rows:
@@ -284,7 +295,8 @@ class _Supervisor:
                 failures[row] = (f"{tries[end]} times: " if tries[end] > 1 else "") + how
                 row += 1
                 tries.clear()
-        return ChunkAnswer(y[:row], tuple(failures[:row]), spent_s / n_done if n_done else None)
+        row_s = spent_s / n_done if n_done else None
+        return ChunkAnswer(y[:row], tuple(failures[:row]), row_s, is_first[:row], self._opening_s)
 
     def _is_worn_out(self, worker: _Worker) -> bool:
         if worker.first_mb is None:

@@ -5,6 +5,7 @@ What one worker had to compile is handed on to those that come after it.
 
 import contextlib
 import importlib
+import math
 import mmap
 import os
 import pickle
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.foreign_code import opening_limited
@@ -71,6 +72,17 @@ def subject(make_model: Factory) -> str:
     return str(getattr(getattr(make_model, "__self__", None), "path", make_model))
 
 
+def prepare(make_model: Factory) -> None:
+    """Read and compile what every process would need again to open a model, for forks of this one.
+
+    Args:
+        make_model: The factory; its owner may have a method `prepare`.
+    """
+    # At worst, every worker does it for itself, and says what is wrong.
+    with contextlib.suppress(Exception):
+        getattr(getattr(make_model, "__self__", None), "prepare", lambda: None)()
+
+
 def packed(make_model: Factory) -> bytes:
     """Return a factory as bytes for another process.
 
@@ -99,6 +111,14 @@ def packed(make_model: Factory) -> bytes:
 LOG = "log"
 MAX_CHUNK_BYTES = 8_000_000
 """Outputs that a chunk has at most, unless one row has more."""
+
+
+class NewProcess(Enum):
+    """Which rows of a chunk begin in a process in which the model has answered no other row."""
+
+    WHEN_NEEDED = "rows share the process that is there; it starts the FMU over between them"
+    AT_FIRST = "the first row has a new process, which the others share"
+    EACH_ROW = "each row has a process of its own"
 
 
 class End(Enum):
@@ -131,11 +151,15 @@ class ChunkAnswer:
         y: Outputs, NaN throughout in failed rows. Shape (m, t, k). [per output]
         failures: Why each row failed; "" where it is good. Length m, at least 1.
         row_s: Time per row that did not end its process; None for no such row. [s]
+        is_first: Which rows were the first of their process. Shape (m,).
+        opening_s: Least time that a process has taken to start and to open the model; infinite for none. [s]
     """
 
     y: FloatArray
     failures: tuple[str, ...]
     row_s: float | None
+    is_first: BoolArray
+    opening_s: float = math.inf
 
 
 class SharedRows:

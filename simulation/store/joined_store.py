@@ -14,6 +14,7 @@ from simulation.errors import InputError
 from simulation.experiments import JoinedModel
 from simulation.layout import Experiment, Layout
 from simulation.pool.pool_model import PoolModel
+from simulation.pool.worker_process import NewProcess
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
@@ -139,12 +140,26 @@ class JoinedStore(SimulationStore):
         answers = [store.read(own) for store, own in self.parts(theta)]
         return self.layout.join(np.array(theta, dtype=np.float64), answers)
 
-    def append(self, rows: Trajectories) -> None:
+    def first(self, theta: FloatArray) -> BoolArray:
+        """Return which rows were the first of their process in all experiments."""
+        return np.asarray(np.all([store.first(own) for store, own in self.parts(theta)], axis=0))
+
+    @property
+    def is_reuse_given_up(self) -> bool:
+        """Whether rows of one process were found to depend on each other in an experiment."""
+        return any(store.is_reuse_given_up for store in self.stores)
+
+    def give_up_reuse(self) -> int:
+        """Remove all rows that shared a process, see `SimulationStore.give_up_reuse`."""
+        return sum([store.give_up_reuse() for store in self.stores])
+
+    def append(self, rows: Trajectories, is_first: BoolArray | None = None) -> None:
         """Store rows, part by part: what an experiment has already is not written again."""
+        first = np.ones(rows.n, dtype=np.bool_) if is_first is None else is_first
         for one, store in zip(self.layout.experiments, self.stores, strict=True):
             parts = self.layout.part(one, rows, store.names, store.time)
             is_new = ~store.find(parts.theta) | (~store.find_good(parts.theta) & ~parts.failed)
-            store.append(parts.take(is_new))
+            store.append(parts.take(is_new), first[is_new])
 
     def close(self) -> None:
         """Close the stores."""
@@ -178,7 +193,8 @@ class StoredExperiments(StoredModel):
             store: Where its answers lie.
             retry_failed: Ask again, once, for rows that failed before this object was made.
         """
-        super().__init__(model, store, retry_failed=retry_failed)
+        pool = model.model if isinstance(model.model, PoolModel) else None
+        super().__init__(model, store, retry_failed=retry_failed, pool=pool)
         self._joined, self._joined_store = model, store
         self._retry = [one.n_written if retry_failed else 0 for one in store.stores]
 
@@ -238,13 +254,47 @@ class StoredExperiments(StoredModel):
         asked = np.concatenate(wanted)
         n_stored = len(theta) * len(lacking) - len(asked)
         on_progress(n_stored // len(lacking))
-        pool = self._joined.model
-        assert isinstance(pool, PoolModel), "rows of experiments come from a pool"
+        pool = self._pool
+        assert pool is not None, "rows of experiments come from a pool"
         with closing(pool.as_finished(asked)) as chunks:
-            for _, chunk in chunks:
+            for _, chunk, is_first in chunks:
                 answered = chunk.theta[:, 0].astype(np.int64)
                 for place in np.unique(answered):
                     part = rows.answer(chunk.take(answered == place), int(place))
-                    self._joined_store.stores[place].append(part)
+                    self._joined_store.stores[place].append(part, is_first[answered == place])
                 n_stored += chunk.n
                 on_progress(n_stored // len(lacking))
+                self.reuse.count(int((~is_first).sum()))
+                if self.reuse.is_due:
+                    self._check_reuse()
+        if self.reuse.is_open:
+            self._check_reuse()
+
+    def _check_reuse(self) -> None:
+        """Repeat rows of each experiment; the process that simulates them changes with the experiment."""
+        for place, store in enumerate(self._joined_store.stores):
+            reused = store.theta_reused
+            chosen = reused[self.reuse.chosen(len(reused))]
+            if len(chosen) and not self._is_repeated(chosen, place):
+                self.give_up_reuse()
+        self.reuse.checked()
+
+    def _is_repeated(self, own: FloatArray, place: int, *, is_first: bool = False) -> bool:
+        rows = self._joined.rows
+        columns = rows.layout.experiments[place].parameters
+
+        def anew(own: FloatArray, new_process: NewProcess) -> Trajectories:
+            theta = np.zeros((len(own), len(rows.layout.parameter_names)))
+            theta[:, columns] = own
+            return rows.answer(self._anew(rows.rows(theta, place), new_process), place)
+
+        stored = self._joined_store.stores[place].read(own)
+        return self.reuse.is_repeated(anew, stored, is_first=is_first)
+
+    def repeats(self, theta: FloatArray) -> bool:
+        """Repeat a stored row in all experiments, see `StoredModel.repeats`."""
+        for place in self._places:
+            store, own = self._joined_store.parts(theta[None])[place]
+            if not self._is_repeated(own, place, is_first=bool(store.first(own)[0])):
+                self.give_up_reuse()
+        return not self.reuse.is_random

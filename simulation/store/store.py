@@ -2,7 +2,9 @@
 
 Two tables, both for readers as well: `model` has one row that says whose rows these are, `simulations` has
 one row per simulation. An output is a blob of doubles, one per time; parameters are columns, and beside them
-`_theta` holds their exact bytes, by which a row is known.
+`_theta` holds their exact bytes, by which a row is known. `_first` is 1 where no row before it in its process
+can have changed its answer. The database's `user_version` is 1 once rows of one process were found to depend
+on each other: from then on each has a process of its own.
 """
 
 import json
@@ -28,7 +30,7 @@ BLOCK_BYTES = 64 * 2**20
 _FORMAT = 1
 _PATIENCE_S = 60.0  # for another process that writes; a chunk is written in milliseconds
 _NEVER = 2**63 - 1  # the largest row number of SQLite
-_OWN_COLUMNS = ("_id", "_theta", "_failure", "_written", "_check")
+_OWN_COLUMNS = ("_id", "_theta", "_failure", "_written", "_check", "_first")
 _DAMAGED = "it is damaged: remove it, with -wal and -shm beside it, and its simulations run again"
 _NOT_WRITTEN = "allow writing there, then type the command again"
 _REMEDIES = {
@@ -82,10 +84,11 @@ class SimulationStore:
         self._model = zlib.crc32(model_digest.encode())
         outputs, parameters = _columns(parameter_names, output_names)
         self._read = f"select _check, _failure, {', '.join(outputs)} from simulations where _theta = ?"
-        values = ", ".join("?" * len(parameters + outputs))
+        columns = ", ".join(["_theta", "_failure", "_check", "_first", *parameters, *outputs])
+        values = ", ".join("?" * (4 + len(parameters + outputs)))
         self._insert = (
-            "insert or ignore into simulations "
-            f"values (null, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'), ?, {values})"
+            f"insert or ignore into simulations (_written, {columns}) "
+            f"values (strftime('%Y-%m-%dT%H:%M:%fZ', 'now'), {values})"
         )
         described: dict[str, object] = {
             "format": _FORMAT,
@@ -98,6 +101,8 @@ class SimulationStore:
             _make(self.file, described, [*(f"{name} real" for name in parameters), *outputs])
         _check_model(self.file, described)
         self._database = _connect(self.file)
+        with _in_words(self.file):
+            _add_first(self._database)
 
     @classmethod
     def at(cls, file: Path) -> "SimulationStore":
@@ -205,11 +210,51 @@ class SimulationStore:
         for start in range(0, len(theta), size):
             yield self.read(theta[start : start + size])
 
-    def append(self, rows: Trajectories) -> None:
+    def first(self, theta: FloatArray) -> BoolArray:
+        """Return which rows are stored and were the first of their process.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            Shape (n,).
+        """
+        select = "select exists (select 1 from simulations where _theta = ? and _first = 1)"
+        with _in_words(self.file):
+            found = [self._database.execute(select, (key,)).fetchone() for key in _keys(theta)]
+        return np.array(found, dtype=np.bool_).reshape(len(theta))
+
+    @property
+    def theta_reused(self) -> FloatArray:
+        """Parameters of good rows that came after others in a process. Shape (n, p). [per parameter]."""
+        select = "select _theta from simulations where _failure = '' and _first is not 1 order by _id"
+        with _in_words(self.file):
+            rows = self._database.execute(select).fetchall()
+        whole = np.frombuffer(b"".join(key for (key,) in rows), dtype="<f8")
+        return whole.reshape(len(rows), len(self.names[0])).astype(np.float64)
+
+    @property
+    def is_reuse_given_up(self) -> bool:
+        """Whether rows of one process were found to depend on each other, see `give_up_reuse`."""
+        with _in_words(self.file):
+            return bool(self._database.execute("pragma user_version").fetchone()[0])
+
+    def give_up_reuse(self) -> int:
+        """Remove all rows that came after others in a process, and remember that none may again.
+
+        Returns:
+            How many are removed.
+        """
+        with self._writing() as database:
+            database.execute("pragma user_version = 1")
+            return database.execute("delete from simulations where _first is not 1").rowcount
+
+    def append(self, rows: Trajectories, is_first: BoolArray | None = None) -> None:
         """Store rows, all or none; when this returns they survive the death of process and machine.
 
         Args:
             rows: Answers of this store's model.
+            is_first: Which of them were the first of their process; None for all. Shape (n,).
 
         Raises:
             ValueError: If they are another model's.
@@ -218,6 +263,7 @@ class SimulationStore:
         if names != self.names or not np.array_equal(rows.time, self.time):
             raise ValueError("these rows have other names or times than the store")
         y = np.asarray(rows.y, dtype="<f8")
+        first = np.ones(rows.n, dtype=np.bool_) if is_first is None else is_first
         if rows.n:
             with self._writing() as database:
                 for i, (key, reason) in enumerate(zip(_keys(rows.theta), rows.failures, strict=True)):
@@ -226,7 +272,8 @@ class SimulationStore:
                     outputs = [values.tobytes() for values in y[i].T]
                     check = self._sum(key, failure, *outputs)
                     database.execute("delete from simulations where _theta = ? and _failure <> ''", (key,))
-                    database.execute(self._insert, (key, failure, check, *rows.theta[i].tolist(), *outputs))
+                    own = key, failure, check, int(first[i])
+                    database.execute(self._insert, (*own, *rows.theta[i].tolist(), *outputs))
 
     def close(self) -> None:
         """Close the database."""
@@ -288,12 +335,29 @@ def _make(file: Path, described: dict[str, object], columns: list[str]) -> None:
             # Outputs lie at a row's end: what is before them is found without reading them.
             database.execute(
                 "create table simulations (_id integer primary key autoincrement, "
-                f"_theta blob unique, _failure text, _written text, _check integer, {', '.join(columns)})"
+                "_theta blob unique, _failure text, _written text, _check integer, _first integer, "
+                f"{', '.join(columns)})"
             )
         for rest in ("-wal", "-shm"):
             # SQLite would add what a killed process left beside a file that was removed since.
             file.with_name(file.name + rest).unlink(missing_ok=True)
         made.rename(file)
+
+
+def _add_first(database: sqlite3.Connection) -> None:
+    """Give a store of an earlier version the column `_first`: nothing is known of its rows."""
+    columns = "select 1 from pragma_table_info('simulations') where name = '_first'"
+    if database.execute(columns).fetchone() is not None:
+        return
+    try:
+        with database:
+            database.execute("begin immediate")
+            if database.execute(columns).fetchone() is None:
+                database.execute("alter table simulations add column _first integer")
+    except sqlite3.OperationalError as error:
+        # Where nothing can be written, rows are only read.
+        if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_READONLY:
+            raise
 
 
 def _model_of(database: sqlite3.Connection) -> tuple[Any, ...]:

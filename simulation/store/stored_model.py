@@ -2,11 +2,16 @@
 
 from collections.abc import Callable, Generator
 from contextlib import closing
+from typing import NoReturn
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from simulation.errors import ReuseError
 from simulation.forward_model import ForwardModel, WrappedModel
+from simulation.pool.pool_model import Finished, PoolModel
+from simulation.pool.worker_process import NewProcess
+from simulation.store.reuse_check import ReuseCheck
 from simulation.store.store import SimulationStore
 from simulation.trajectories import Trajectories
 
@@ -18,6 +23,7 @@ class StoredModel(WrappedModel):
     """A model around a store: stored rows are read, the others simulated and stored as they come.
 
     Calls are counted above it, as asked: what a calibration costs does not depend on what is stored already.
+    Of rows that shared a process with others some are repeated in other processes (`ReuseCheck`).
 
     Attributes:
         store: The store of the answers.
@@ -29,13 +35,21 @@ class StoredModel(WrappedModel):
         n_asked_twice: Rows that failed with their states and were asked again without.
     """
 
-    def __init__(self, model: ForwardModel, store: SimulationStore, *, retry_failed: bool = False) -> None:
+    def __init__(
+        self,
+        model: ForwardModel,
+        store: SimulationStore,
+        *,
+        retry_failed: bool = False,
+        pool: PoolModel | None = None,
+    ) -> None:
         """Wrap a model.
 
         Args:
             model: The model to ask.
             store: Where its answers lie.
             retry_failed: Ask the model again, once, for rows that failed before this object was made.
+            pool: What simulates in other processes, where that is not the model itself.
         """
         super().__init__(model)
         self.unstored = model
@@ -44,6 +58,15 @@ class StoredModel(WrappedModel):
         self.n_simulated = self.n_reused = 0
         self.failures: list[str] = []
         self.why_unread, self.n_asked_twice = "", 0
+        self._pool = model if isinstance(model, PoolModel) else pool
+        self.reuse = ReuseCheck(self._pool)
+        if self._pool is not None and store.is_reuse_given_up:
+            self._pool.always_new = True
+
+    @property
+    def simulation_s(self) -> float | None:
+        """Time of a simulation, None where nothing was simulated yet. [s]."""
+        return None if self._pool is None else self._pool.simulation_s
 
     def missing(self, theta: FloatArray) -> BoolArray:
         """Return which rows the model would have to simulate.
@@ -75,6 +98,9 @@ class StoredModel(WrappedModel):
 
         Returns:
             The same as the model answers, bit for bit.
+
+        Raises:
+            ReuseError: If rows that shared a process depended on each other; they are removed.
         """
         self.complete(theta)
         answer = self.store.read(theta)
@@ -89,6 +115,9 @@ class StoredModel(WrappedModel):
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
             on_progress: Called with the number of rows that are stored so far.
+
+        Raises:
+            ReuseError: If rows that shared a process depended on each other; they are removed.
         """
         theta = np.array(theta, dtype=np.float64)
         # Each missing row once, by its exact bytes.
@@ -99,17 +128,75 @@ class StoredModel(WrappedModel):
         if not len(new):
             return
         with closing(self._as_finished(new)) as chunks:
-            for chunk in chunks:
-                self.store.append(chunk)
+            for chunk, is_first in chunks:
+                self.store.append(chunk, is_first)
                 self.n_simulated += chunk.n
                 n_stored += chunk.n
                 on_progress(n_stored)
+                self.reuse.count(int((~is_first).sum()))
+                if self.reuse.is_due:
+                    self._check_reuse()
+        if self.reuse.is_open:
+            self._check_reuse()
 
-    def _as_finished(self, theta: FloatArray) -> Generator[Trajectories]:
-        """Yield the answers to some rows chunk by chunk, in any order: those of a pool as they finish."""
-        if hasattr(self._model, "as_finished"):
-            for _, chunk in self._model.as_finished(theta):
-                yield chunk
+    def _as_finished(self, theta: FloatArray) -> Generator[tuple[Trajectories, BoolArray]]:
+        """Yield answers to rows, and which were the first of their process, in any order as they finish."""
+        if self._pool is not None:
+            with closing(self._pool.as_finished(theta)) as chunks:
+                for _, chunk, is_first in chunks:
+                    yield chunk, is_first
             return
         for start in range(0, len(theta), BLOCK_ROWS):
-            yield self._model.simulate(theta[start : start + BLOCK_ROWS])
+            chunk = self._model.simulate(theta[start : start + BLOCK_ROWS])
+            yield chunk, np.ones(chunk.n, dtype=np.bool_)
+
+    def anew(self, theta: FloatArray) -> Generator[Finished]:
+        """Simulate rows that may be stored, and store nothing, see `PoolModel.as_finished`."""
+        assert self._pool is not None, "a model with processes"
+        return self._pool.as_finished(theta)
+
+    def _anew(self, theta: FloatArray, new_process: NewProcess) -> Trajectories:
+        assert self._pool is not None, "rows are reused by pools alone"
+        return self._pool.simulate(theta, new_process)
+
+    def _check_reuse(self) -> None:
+        reused = self.store.theta_reused
+        chosen = reused[self.reuse.chosen(len(reused))]
+        self.reuse.checked()
+        if len(chosen) and not self.reuse.is_repeated(self._anew, self.store.read(chosen)):
+            self.give_up_reuse()
+
+    def give_up_reuse(self) -> NoReturn:
+        """Remove all rows that shared a process, and give each row a process of its own from now on.
+
+        Raises:
+            ReuseError: Always.
+        """
+        n = self.store.give_up_reuse()
+        if self._pool is not None:
+            self._pool.always_new = True
+        raise ReuseError(
+            f"the FMU does not forget one simulation before the next: {n} stored simulations that came after "
+            "others in a process are removed, and each simulation gets a process of its own from now on"
+        )
+
+    def repeats(self, theta: FloatArray) -> bool:
+        """Repeat a stored row in a process of its own.
+
+        Args:
+            theta: Parameters of a row that did not fail. Shape (p,). [per parameter]
+
+        Returns:
+            Whether it is repeated to the last bit; if not, the FMU is random. True where the model has no
+            processes.
+
+        Raises:
+            ReuseError: If it depended on rows before it; all that may are removed.
+        """
+        if self._pool is None:
+            return True
+        row = theta[None]
+        is_first = bool(self.store.first(row)[0])
+        if not self.reuse.is_repeated(self._anew, self.store.read(row), is_first=is_first):
+            self.give_up_reuse()
+        return not self.reuse.is_random

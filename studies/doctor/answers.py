@@ -1,12 +1,12 @@
 """What the model's answers say: estimates, box, influences, and the same again in other circumstances."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
 from simulation.design import uniform_design
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
@@ -258,48 +258,46 @@ def changed_input(values: FloatArray, variable: FmuVariable) -> FloatArray:
     return values + shift
 
 
-def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: Trajectories) -> Finding:
+def look_at_repeats(first: Trajectories, other: Trajectories) -> Finding:
     """Compare answers to the estimates.
 
     Args:
         first: the first answer of a process.
-        again: later answers of the same process, other rows in between.
-        fresh: the first answer of another process.
+        other: the first answer of another process.
     """
-    if reason := next((one.failures[0] for one in (*again, fresh) if one.failed[0]), ""):
-        return finding("repeats-fail", "fail", reason=reason)
-    between, within = _apart(first, fresh), max((_apart(first, one) for one in again), default=0.0)
-    if between > SAME:
-        return finding("random", "fail", apart=between)
-    if within > SAME:
-        return finding("keeps-a-state", "fail", apart=within)
-    most = max(between, within)
-    return finding("repeats", "ok", exact="bit for bit" if most == 0.0 else f"within {most:.1g}")
+    if other.failed[0]:
+        return finding("repeats-fail", "fail", reason=other.failures[0])
+    apart = float(np.max(np.abs(first.y - other.y)))
+    if apart > SAME:
+        return finding("random", "fail", apart=apart)
+    return finding("repeats", "ok", exact="bit for bit" if apart == 0.0 else f"within {apart:.1g}")
 
 
-def look_at_order(later: Trajectories, first: Trajectories) -> Finding:
-    """Compare answers to a point of the box: what a process keeps of its first row falsifies all others.
+def look_at_order(there: Trajectories, back: Trajectories) -> Finding:
+    """Compare answers of two processes to the same rows, which they were given in reverse orders.
+
+    What an FMU remembers of a simulation falsifies the next one.
 
     Args:
-        later: the answer of a process that answered another row before.
-        first: the first answer of another process.
+        there: the answers of one process.
+        back: those of the other one, in the order of the first.
     """
-    if later.failed[0] and first.failed[0]:
-        return finding("order", "ok", said="a point of the box fails, first and later")
+    is_other = differ(there, back)
+    failed_once = np.flatnonzero(there.failed != back.failed)
     # On a busy machine that is no sign of what the FMU keeps.
-    if any(STOPPED in answer.failures[0] for answer in (later, first)):
+    if any(STOPPED in there.failures[row] + back.failures[row] for row in failed_once):
         return finding("order-timeout", remedy=MORE_TIME)
-    apart = _apart(later, first)
-    if apart <= SAME:
-        return finding("order", "ok", said="first in a process, and after other parameters")
-    said = f"the same parameters give outputs {apart:.3g} apart first in a process and after others"
-    if np.isnan(apart):
-        said = "a point of the box fails either first in a process or after others, not both"
-    return finding("keeps-first-parameters", "fail", said=said)
+    if not is_other.any():
+        return finding("order", "ok", n=there.n)
+    apart = np.abs(there.y - back.y)
+    largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0))
+    return finding("forgets-not", n=there.n, n_other=int(is_other.sum()), largest=largest)
 
 
-def _apart(one: Trajectories, other: Trajectories) -> float:
-    return float(np.max(np.abs(one.y - other.y)))
+def differ(one: Trajectories, other: Trajectories) -> BoolArray:
+    """Return which of the same rows differ in a bit, or failed in one of two processes alone. Shape (n,)."""
+    is_other = np.any(one.y != other.y, axis=(1, 2)) & ~one.failed & ~other.failed
+    return np.asarray(is_other | (one.failed != other.failed))
 
 
 def _jumps(uncertainty: float, values: FloatArray) -> bool:

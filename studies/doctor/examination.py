@@ -8,23 +8,26 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import studies.doctor.answers as answers
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.case import named_experiments, with_step
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
+from simulation.pool.worker_process import NewProcess
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from studies.console import format_seconds
 from studies.doctor.declared import look_at_data, look_at_declaration
 from studies.doctor.finding import STOPPED, Diagnosis, Finding, finding, named
-from studies.physical_model import open_physical_model
+from studies.physical_model import give_up_reuse, never_reused_file, open_physical_model
 from studies.stages.pipeline import Study
 
 N_STEPS = 7
 PIECE = 8
 """Simulations of each worker between two looks at the clock."""
+N_ORDERED, LEAST_ORDERED, QUICK_S = 8, 2, 0.5
+"""Simulations that are repeated in the reverse order where one takes less than QUICK_S [s], and else."""
 LEAST_TIMES = 3.0
 """A time-out of fewer times the simulation of the estimates stops rows that are only somewhat harder."""
 
@@ -67,6 +70,7 @@ class _Examination:
     def __init__(self, study: Study, *, is_thorough: bool) -> None:
         self._study, self._case, policy = study, study.case, study.case.policy
         self._base = study.case.parameter_space.expected
+        self._is_random = False
         n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
         self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s)
 
@@ -85,27 +89,40 @@ class _Examination:
             yield list(answers.look_at_estimates(case, nominal))
             if nominal.failed[0]:
                 return
-            again = []
-            if budget.rows("a repetition", 3, at_once=False):
-                # Without opening the FMU; and after a row that is not the estimates.
-                answer, budget.simulation_s = _timed(alone, base)
-                # Inside the box: at a corner a parameter may do nothing.
-                after = alone.simulate(np.stack([answers.coverage_points(case)[0], base]))
-                again = [answer, after.take([1])]
-                if budget.rows("the same answer in any order", 1, at_once=False):
-                    later = after.take([0])
-                    with PoolModel(case.make_model, 1, policy=policy) as other:
-                        yield [answers.look_at_order(later, other.simulate(later.theta))]
+            if budget.rows("a repetition", 1, at_once=False):
+                # Without opening the FMU.
+                _, budget.simulation_s = _timed(alone, base, NewProcess.WHEN_NEEDED)
+                yield self._in_any_order(alone)
             yield from self._in_the_box(nominal)
-            yield self._in_other_processes(nominal, again)
+            yield self._in_other_processes(nominal)
         yield list(self._costs())
+
+    def _in_any_order(self, alone: PoolModel) -> list[Finding]:
+        """Simulate points in one process, and in another one in the reverse order."""
+        wanted = N_ORDERED if self.budget.simulation_s < QUICK_S else LEAST_ORDERED
+        if not self.budget.rows("the same answer in any order", 2 * wanted, 2 * wanted, at_once=False):
+            return []
+        # Inside the box: at a corner a parameter may do nothing.
+        points = np.vstack([self._base, answers.coverage_points(self._case)[: wanted - 1]])
+        there = alone.simulate(points, NewProcess.AT_FIRST)
+        back = alone.simulate(points[::-1], NewProcess.AT_FIRST)
+        back = back.take(np.arange(wanted)[::-1])
+        if (others := np.flatnonzero(answers.differ(there, back))).size:
+            first = alone.simulate(points[others[[0, 0]]], NewProcess.EACH_ROW)
+            if answers.differ(first.take([0]), first.take([1]))[0]:
+                # Nothing shows what it remembers.
+                self._is_random = True
+                return [answers.look_at_repeats(first.take([0]), first.take([1]))]
+            if not never_reused_file(self._study.paths, self._case).is_file():
+                give_up_reuse(self._study)
+        return [answers.look_at_order(there, back)]
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
         case, budget = self._case, self.budget
         with open_physical_model(self._study, policy=self._policy(budget.usual_s)) as stored:
             model = _StoringModel(stored)
-            model.store_finished(nominal)
+            model.store_finished(nominal, np.ones(1, dtype=np.bool_))
             if n := budget.rows("influence of the parameters", 2 * len(self._base), 2):
                 yield list(self._influence(model, nominal, n - n % 2))
             points, what = answers.corner_points(case), "corners of the box"
@@ -142,7 +159,7 @@ class _Examination:
         is_traced = n_rows > 0 and self.budget.rows("from where on bounds fail", n_rows, n_rows) > 0
         yield from answers.look_at_bounds(case, self._base, answer, model if is_traced else None)
 
-    def _in_other_processes(self, nominal: Trajectories, again: list[Trajectories]) -> list[Finding]:
+    def _in_other_processes(self, nominal: Trajectories) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
         case, budget, names = self._case, self.budget, self._case.scenario.input_names
         halved = with_step(case, case.communication_step_s / 2.0)
@@ -154,8 +171,9 @@ class _Examination:
                 return []
             answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
         asked = names[: n - 3]
-        findings = [answers.look_at_repeats(nominal, again, answer.take([0]))] if again else []
-        findings.append(answers.look_at_halving(case, halved, nominal, answer.take([1])))
+        findings = [answers.look_at_halving(case, halved, nominal, answer.take([1]))]
+        if not self._is_random:
+            findings.insert(0, answers.look_at_repeats(nominal, answer.take([0])))
         if asked:
             changed = answer.take(np.arange(2, 2 + len(asked)))
             findings.append(answers.look_at_inputs(asked, nominal, changed))
@@ -177,9 +195,11 @@ class _Examination:
         return replace(self._case.policy, timeout_s=timeout_s, max_failed_share=1.0)
 
 
-def _timed(model: ForwardModel, row: FloatArray) -> tuple[Trajectories, float]:
+def _timed(
+    model: PoolModel, row: FloatArray, new_process: NewProcess | None = None
+) -> tuple[Trajectories, float]:
     started = time.perf_counter()
-    answer = model.simulate(row[None])
+    answer = model.simulate(row[None], new_process)
     return answer, time.perf_counter() - started
 
 
@@ -204,15 +224,24 @@ class _StoringModel(WrappedModel):
         missing = self._stored.missing(theta)
         known, new = np.flatnonzero(~missing), np.flatnonzero(missing)
         parts = [self._stored.store.read(theta[known])] if len(known) else []
+        order = [known]
         if len(new):
-            parts.append(self._stored.unstored.simulate(theta[new]))
-            self.store_finished(parts[-1])
-        return Trajectories.concatenate(parts).take(np.argsort(np.concatenate([known, new])))
+            for rows, answer, is_first in self._stored.anew(theta[new]):
+                order.append(new[rows])
+                parts.append(answer)
+                self.store_finished(answer, is_first)
+        return Trajectories.concatenate(parts).take(np.argsort(np.concatenate(order)))
 
-    def store_finished(self, rows: Trajectories) -> None:
-        """Store rows of any model that finished, unless they are stored."""
+    def store_finished(self, rows: Trajectories, is_first: BoolArray) -> None:
+        """Store rows that finished, unless they are stored.
+
+        Args:
+            rows: Rows of any model.
+            is_first: Which of them were the first of their process. Shape (n,).
+        """
         finished = np.array([STOPPED not in reason for reason in rows.failures], dtype=np.bool_)
-        self._stored.store.append(rows.take(finished & ~self._stored.store.find(rows.theta)))
+        new = finished & ~self._stored.store.find(rows.theta)
+        self._stored.store.append(rows.take(new), is_first[new])
 
 
 EXAMINATION_S = 120.0

@@ -32,6 +32,13 @@ MOST_NAMED, FARTHEST = 4, 3
 """Outputs up to which a sentence names all, and how many it names of more."""
 UNCORRELATED = 0.9
 """Samples that are worth this share of their number are said to be uncorrelated."""
+_RANDOM = (
+    "The FMU is not deterministic: the best simulation was another one when it was repeated with the same "
+    "parameters, so no error and no parameter here is exact"
+)
+_OWN_PROCESSES = (
+    "The FMU does not forget one simulation before the next, so each simulation had a process of its own"
+)
 FITS_BETTER = 0.99
 """Share of a calibration's error below which another parameter set is said to fit better."""
 
@@ -59,7 +66,8 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
 
 def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
     """Say what a calibration means, from how its state equations did to what priors weigh."""
-    said = [] if found.state_equations is None else [found.state_equations.sentence]
+    said = [_RANDOM] * found.is_random + [_OWN_PROCESSES] * found.has_own_processes
+    said += [] if found.state_equations is None else [found.state_equations.sentence]
     if not math.isfinite(found.mse):
         return said
     said += [_fit(case, found), *_relative(case, found), *_limits(case, found), *_outliers(case, found)]

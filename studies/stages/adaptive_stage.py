@@ -23,7 +23,7 @@ from studies.calibration.states import StateSignals, why_unwatched
 from studies.console import OnBar
 from studies.physical_model import StoredWatchedModel, open_physical_model, open_watched_model, say_reused
 from studies.report.wording import count, quantity, square_of
-from studies.stages.calibrated_point import calibration_at, validation_inputs
+from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
 from studies.stages.stage_results import ADAPTIVE, Calibration, EquationsFound
@@ -153,13 +153,15 @@ def calibrate_adaptively(
             network_inputs=None if state_equations else NetworkInputs.of(case),
             on_progress=_reporter(study, physical, bars),
         )
-    if not np.isfinite(result.mse):
-        raise _hopeless(study, physical)
+        if not np.isfinite(result.mse):
+            raise _hopeless(study, physical)
+        repeated = repeat_best(physical, result.theta, result.n_calls)
     say_reused(study, STAGE, physical, n_repeated=n_read)
     return calibration_at(
         study,
         physical,
         result,
+        repeated=repeated,
         ledger=Ledger(n_adaptive=result.n_calls + physical.n_asked_twice),
         history=result.history,
         method="adaptive",

@@ -11,7 +11,7 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
-from studies.stages.calibrated_point import calibration_at, validation_inputs
+from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.stage_results import Calibration, Screened
@@ -120,12 +120,14 @@ def calibrate(
             prior=prior_of(case),
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
+        repeated = repeat_best(physical, result.polish.theta, result.ledger.total_paper)
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
     screened = result.screened
     return calibration_at(
         study,
         physical,
         result.polish,
+        repeated=repeated,
         ledger=result.ledger,
         history=result.history,
         method="paper",

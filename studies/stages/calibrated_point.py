@@ -7,7 +7,7 @@ The simulations of that period are a few per calibration and decide nothing: the
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,8 @@ from studies.stages.stage_results import Calibration, Determined, Fit, OutputFit
 from studies.uncertainty.identifiability import judged_slopes
 from studies.uncertainty.noise import noise_of
 
+QUICK_S, ENOUGH_CALLS = 1.0, 10
+"""The best simulation is repeated where it is quick, or one of so many that one more costs little."""
 CLEAR_PAIR = 0.9
 """A pair is named that makes up so much of an open direction's squared length."""
 
@@ -40,6 +42,7 @@ def calibration_at(
     physical: StoredModel,
     found: AdaptiveResult | PolishResult,
     *,
+    repeated: "Repeated",
     ledger: Ledger,
     history: History,
     **more: Any,
@@ -50,11 +53,13 @@ def calibration_at(
         study: The study.
         physical: The model that was asked.
         found: The point.
+        repeated: How the best simulation was repeated.
         ledger: Model calls by purpose.
         history: Best error over model calls.
         more: The other fields of the calibration.
     """
     case, names, prior, y = study.case, study.case.parameter_space.names, prior_of(study.case), found.y
+    ledger = replace(ledger, n_repeated=repeated.n_simulations)
     calibration = Calibration(
         case=case.name,
         seed=study.profile.seed,
@@ -76,9 +81,44 @@ def calibration_at(
         history_mse=history.best_mse,
         determined_by_data=determined(names, case.measurement, prior, y=y, slopes=found.slopes),
         prior=prior_found(case, found.theta),
+        is_random=repeated.is_random,
+        has_own_processes=repeated.has_own_processes,
         **more,
     )
     return calibration if case.validation is None else _with_validation(study, calibration, case.validation)
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """What came of simulations that were repeated, see `repeat_best`.
+
+    Attributes:
+        n_simulations: How many.
+        is_random: Whether the best one was another one in a new process.
+        has_own_processes: Whether each simulation has a process of its own because the FMU does not forget
+            one before the next.
+    """
+
+    n_simulations: int
+    is_random: bool
+    has_own_processes: bool
+
+
+def repeat_best(physical: StoredModel, theta: FloatArray, n_calls: int) -> Repeated:
+    """Repeat the best simulation in a new process, unless that is dear, before it is shown.
+
+    Args:
+        physical: The model that was asked.
+        theta: The best parameters. Shape (p,). [per parameter]
+        n_calls: What was asked of it before.
+
+    Raises:
+        ReuseError: If the simulation depended on those before it in its process.
+    """
+    is_dear = (physical.simulation_s or 0.0) > QUICK_S and n_calls < ENOUGH_CALLS
+    is_stored = bool(physical.store.find_good(theta[None])[0])
+    is_random = is_stored and not is_dear and not physical.repeats(theta)
+    return Repeated(physical.reuse.n_repeated, is_random, physical.store.is_reuse_given_up)
 
 
 def fits(case: Case, y: FloatArray) -> dict[str, Fit]:

@@ -423,6 +423,9 @@ class Calibration:
             has a robust loss, or "whitened MSE" where one has a correlation time.
         start_theta: The stored simulations that it started from. Shape (n, p). [per parameter]
         start_watched: Which of them are stored with the model's states. Shape (n,).
+        is_random: Whether the best simulation was another one when it was repeated in a new process.
+        has_own_processes: Whether each simulation had a process of its own because the FMU does not forget
+            one simulation before the next.
     """
 
     __pydantic_config__ = WITH_ARRAYS
@@ -464,6 +467,8 @@ class Calibration:
     error_name: str = "MSE"
     start_theta: FloatArray | None = None
     start_watched: BoolArray | None = None
+    is_random: bool = False
+    has_own_processes: bool = False
 
     @property
     def has_failures(self) -> bool:

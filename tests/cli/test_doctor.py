@@ -81,16 +81,16 @@ def test_a_measurement_out_of_reach_is_worth_a_look(project: Path, studies: Run)
 
 
 @pytest.mark.parametrize(
-    ("failures", "level"),
+    ("failures", "remedy"),
     [
-        (("", ""), "ok"),
-        (("a", "did not answer within 1 s and was stopped"), "ok"),
-        (("", "did not answer within 1 s and was stopped"), "warn"),
-        (("did not answer within 1 s and was stopped", ""), "warn"),
-        (("", "SIGSEGV"), "fail"),
+        (("", ""), ""),
+        (("a", "did not answer within 1 s and was stopped"), ""),
+        (("", "did not answer within 1 s and was stopped"), "timeout_s"),
+        (("did not answer within 1 s and was stopped", ""), "timeout_s"),
+        (("", "SIGSEGV"), "a process of its own"),
     ],
 )
-def test_a_time_out_is_no_sign_of_what_an_fmu_keeps(failures: tuple[str, str], level: str) -> None:
+def test_a_time_out_is_no_sign_of_what_an_fmu_keeps(failures: tuple[str, str], remedy: str) -> None:
     later, first = (
         Trajectories.checked(
             np.ones((1, 1)),
@@ -103,8 +103,8 @@ def test_a_time_out_is_no_sign_of_what_an_fmu_keeps(failures: tuple[str, str], l
         for failure in failures
     )
     finding = look_at_order(later, first)
-    assert finding.level == level
-    assert ("timeout_s" in finding.remedy) == (level == "warn")
+    assert finding.level == ("warn" if remedy else "ok")
+    assert remedy in finding.remedy
 
 
 @pytest.mark.parametrize(
@@ -116,14 +116,7 @@ def test_a_time_out_is_no_sign_of_what_an_fmu_keeps(failures: tuple[str, str], l
         ("LICENCE", 1, "opening the FMU", "fail", "no licence for", "max_workers"),
         ("UNITS", 0, "units of the outputs", "warn", "K is very cold: rather degC", "compare"),
         ("FROZEN", 0, "the same answer again", "ok", "bit for bit", ""),
-        (
-            "ICED",
-            1,
-            "the same answer in any order",
-            "fail",
-            "apart first in a process",
-            "first parameters",
-        ),
+        ("ICED", 0, "the same answer in any order", "warn", "of 8 simulations are others", "of its own"),
         ("RANDOM", 1, "the same answer again", "fail", "two new processes", "random numbers"),
     ],
 )
@@ -170,8 +163,8 @@ def test_what_the_doctor_simulates_is_kept(
     again = counted(count) - first
     # The estimates, 4 moves of a parameter, 4 corners and 64 points all over the box.
     assert len(first) == 73
-    # Only whether it repeats has to be asked anew: the estimates, and a corner in between.
-    assert len(again) <= 2
+    # Only whether it repeats has to be asked anew: the estimates, and points in two orders.
+    assert len(again) <= 8
 
 
 def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:

@@ -108,7 +108,7 @@ def test_a_batch_that_mostly_fails_stops_and_says_why(tmp_path: Path):
     begun, sizes = tmp_path / "begun", list[int]()
     with PoolModel(RaisingToy(begun=begun, row_s=0.01).open, 2) as model:
         with pytest.raises(TooManyFailuresError) as caught:
-            sizes.extend(len(numbers) for numbers, _ in model.as_finished(rows))
+            sizes.extend(len(numbers) for numbers, _, _ in model.as_finished(rows))
         assert "more than simulation.max_failed_share = 0.5 allows" in str(caught.value)
         assert "ValueError: R is too large" in str(caught.value)
         assert "\n" not in str(caught.value)
@@ -207,7 +207,7 @@ def test_ctrl_c_ends_all_hands_over_what_is_finished_and_can_be_followed():
         for wait_s in (0.05, 3.0):  # while the first process starts, and in the middle
             threading.Timer(wait_s, signal.pthread_kill, (here, signal.SIGINT)).start()
             with pytest.raises(KeyboardInterrupt):
-                sizes.extend(len(numbers) for numbers, _ in model.as_finished(rows))
+                sizes.extend(len(numbers) for numbers, _, _ in model.as_finished(rows))
             assert model.n_processes == 0
         assert 0 < sum(sizes) < len(rows)
         assert model.simulate(rows[:5]).digest == ToyRC().simulate(rows[:5]).digest

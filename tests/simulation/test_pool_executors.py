@@ -83,7 +83,7 @@ def test_a_worker_of_a_cluster_killed_half_way_costs_nothing(cluster: Any):
     answers = np.zeros((300, len(ToyRC().time), 1))
     with DaskExecutor(cluster.scheduler_address) as executor:
         model = PoolModel(SlowToy(row_s=0.03).open, executor=executor)
-        for numbers, answer in model.as_finished(rows):
+        for numbers, answer, _ in model.as_finished(rows):
             answers[numbers] = answer.y
             n_done += answer.n
             if n_done >= 100 and not children:
