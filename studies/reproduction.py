@@ -39,8 +39,7 @@ Numbers = Mapping[str, Any]
 """Nested JSON values and arrays by name."""
 OF_THE_STORE = (
     "n_simulated",
-    "ledger.n_repeated",
-    "ledger.total_calls",
+    "n_repeated",
     "has_own_processes",
     *(f"screening.{of}" for of in SURROGATE_FIELDS),
 )

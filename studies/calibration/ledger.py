@@ -15,7 +15,6 @@ class Ledger:
         n_polish: Polishing.
         n_adaptive: An adaptive calibration, which has none of the above. What it simulates in one of k
             experiments alone counts as the k-th part of a row.
-        n_repeated: Simulations that were repeated to see whether they are the same again.
     """
 
     n_train: int = 0
@@ -24,7 +23,6 @@ class Ledger:
     n_screen_checks: int = 0
     n_polish: int = 0
     n_adaptive: int = 0
-    n_repeated: int = 0
 
     @property
     def total_paper(self) -> int:
@@ -34,7 +32,7 @@ class Ledger:
     @property
     def total_calls(self) -> int:
         """All that surrogate and calibration asked of the physical model; the doctor and Sobol ask apart."""
-        return self.total_paper + self.n_validation + self.n_test + self.n_repeated
+        return self.total_paper + self.n_validation + self.n_test
 
     def to_dict(self) -> dict[str, int]:
         """Return the counts and both totals."""

@@ -59,7 +59,6 @@ def calibration_at(
         more: The other fields of the calibration.
     """
     case, names, prior, y = study.case, study.case.parameter_space.names, prior_of(study.case), found.y
-    ledger = replace(ledger, n_repeated=repeated.n_simulations)
     calibration = Calibration(
         case=case.name,
         seed=study.profile.seed,
@@ -81,6 +80,7 @@ def calibration_at(
         history_mse=history.best_mse,
         determined_by_data=determined(names, case.measurement, prior, y=y, slopes=found.slopes),
         prior=prior_found(case, found.theta),
+        n_repeated=repeated.n_simulations,
         is_random=repeated.is_random,
         has_own_processes=repeated.has_own_processes,
         **more,

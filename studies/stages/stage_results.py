@@ -423,6 +423,7 @@ class Calibration:
             has a robust loss, or "whitened MSE" where one has a correlation time.
         start_theta: The stored simulations that it started from. Shape (n, p). [per parameter]
         start_watched: Which of them are stored with the model's states. Shape (n,).
+        n_repeated: Simulations that were repeated to see whether they are the same again; none of its calls.
         is_random: Whether the best simulation was another one when it was repeated in a new process.
         has_own_processes: Whether each simulation had a process of its own because the FMU does not forget
             one simulation before the next.
@@ -467,6 +468,7 @@ class Calibration:
     error_name: str = "MSE"
     start_theta: FloatArray | None = None
     start_watched: BoolArray | None = None
+    n_repeated: int = 0
     is_random: bool = False
     has_own_processes: bool = False
 
