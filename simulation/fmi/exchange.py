@@ -10,6 +10,7 @@ from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.fmi import exchange_calls as calls
 from simulation.fmi import exchange_loop as loop
+from simulation.fmi.call import make_ready
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.start import RunPlan, Start
@@ -90,14 +91,21 @@ class ModelExchange:
         inputs = plan.scenario.inputs
         is_change = np.any(inputs[1:] != inputs[:-1], axis=1)
         self._changes = np.append(1 + np.flatnonzero(is_change), plan.n_steps)
+        # Before the first row, whose time may be limited: compiling takes seconds where nothing is cached.
+        make_ready(loop.simulate_row, *self._arguments(plan.empty_y()))
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row; see Solver."""
         if failure := self._start.begin(values):
             return failure
-        plan = self._plan
         self._table[calls.COMPONENT] = self._instance.component
-        end, time = loop.simulate_row(
+        end, time = loop.simulate_row(*self._arguments(y))
+        return "" if end == loop.GOOD else self._reason(end, time)
+
+    def _arguments(self, y: FloatArray) -> tuple[Any, ...]:
+        """Return what the loop is called with."""
+        plan = self._plan
+        return (
             self._table,
             self._start.input_table,
             self._start.seen_table,
@@ -109,7 +117,6 @@ class ModelExchange:
             self._cvode.vectors,
             y,
         )
-        return "" if end == loop.GOOD else self._reason(end, time)
 
     def _reason(self, end: int, time: float) -> str:
         """Return in one line why a simulation ended (see exchange_loop) at a time. [s]."""
