@@ -155,13 +155,16 @@ class PoolModel:
                 y[rows], failures[rows] = answer.y, answer.failures
         return self._trajectories(theta, y, tuple(failures.tolist()))
 
-    def as_finished(self, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
+    def as_finished(
+        self, theta: FloatArray, *, until: float = inf
+    ) -> Generator[tuple[IntArray, Trajectories]]:
         """Simulate every row and hand over chunks as they finish, in any order.
 
         Close the generator (contextlib.closing) where not all of it is asked for: that ends what is running.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
+            until: When to end, finished or not, on the monotonic clock. [s]
 
         Yields:
             Which rows have finished, and their trajectories. Shape (m,).
@@ -172,7 +175,7 @@ class PoolModel:
         theta = self.parameter_space.rows(theta)
         batch = _Batch(self, theta)
         try:
-            while batch.queue.n_waiting or batch.running:
+            while (batch.queue.n_waiting or batch.running) and monotonic() < until:
                 batch.hand_out()
                 for future in wait(batch.running, _TICK_S, FIRST_COMPLETED).done:
                     yield from batch.finished(future)
