@@ -168,8 +168,12 @@ def look_at_bounds(
     for _ in range(N_HALVINGS):
         if model is not None:
             middle = 0.5 * (good + bad)
-            asked = space.from_unit(middle)
-            is_good = ~model.ask(asked, "from where on bounds fail").whole(asked).failed[:, None]
+            found = model.ask(space.from_unit(middle), "from where on bounds fail")
+            if not found.is_whole:
+                # Which half fails is not known of all.
+                model = None
+                break
+            is_good = ~found.answer.failed[:, None]
             good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
     regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
