@@ -58,7 +58,7 @@ class CircumstanceModel:
 
 
 @dataclass(frozen=True, eq=False)
-class RowsElsewhere:
+class RowsInCircumstances:
     """Some parameter rows asked in different circumstances; numbers of both are the parameters.
 
     Attributes:

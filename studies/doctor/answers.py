@@ -60,7 +60,7 @@ def cannot_open(reason: str) -> Finding:
 
 
 def middle_fails(case: Case, middle: Trajectories) -> Finding:
-    """Say that the middle of the box fails, which is nobody's estimate."""
+    """Say that the middle of the box fails, which is no estimate."""
     reason = middle.failures[0]
     return finding("middle-fails", reason=reason, remedy=_remedy(reason, case))
 
@@ -302,7 +302,7 @@ def _jumps(uncertainty: float, values: FloatArray) -> bool:
 
 
 def _remedy(reason: str, case: Case) -> str:
-    """Say what to do about a simulation that fails; units that nobody declared come first."""
+    """Say what to do about a simulation that fails; undeclared units come first."""
     names = undeclared(case)
     more = f" and {len(names) - LONGEST} more" if len(names) > LONGEST else ""
     bare = f" (the FMU declares no unit of {', '.join(names[:LONGEST])}{more})" if names else ""

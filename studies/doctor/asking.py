@@ -82,7 +82,7 @@ class TimedModel:
         return self._known
 
     def add(self, rows: Trajectories) -> None:
-        """Keep rows that were answered elsewhere."""
+        """Keep rows that another pool answered."""
         self._keep(rows)
         self._known = Trajectories.concatenate([self._known, rows.take(~rows.failed)])
 

@@ -62,7 +62,7 @@ class Effects:
 
     @property
     def seem_idle(self) -> IntArray:
-        """Parameters that may do something elsewhere."""
+        """Parameters that may do more from other points."""
         return np.flatnonzero(self.is_asked & ~(self.most >= UNSEEN_SHARE))
 
     def also(self, chosen: IntArray, there: FloatArray) -> "Effects":
@@ -163,7 +163,7 @@ def look_at_effects(found: Effects) -> Finding | None:
         return None
     if names := which((found.most <= SAME) & ~found.is_unknown):
         return finding("no-effect", "fail", names=names)
-    # The middle of the box is nobody's estimate.
+    # The middle of the box is no estimate.
     if found.has_estimates and (names := which((found.here <= SAME) & (found.most > SAME))):
         return finding("no-effect-here", names=names)
     if names := which(np.isnan(found.most) | ((found.most <= SAME) & found.is_unknown)):

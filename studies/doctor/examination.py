@@ -15,7 +15,7 @@ from simulation.case import named_experiments, with_step
 from simulation.errors import InputError
 from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
-from studies.circumstances import RowsElsewhere
+from studies.circumstances import RowsInCircumstances
 from studies.console import format_seconds
 from studies.doctor.asking import Asked, TimedModel
 from studies.doctor.budget import EXAMINATION_S, SLOWER, TimeBudget
@@ -140,7 +140,7 @@ class _Examination:
         yield list(self._costs())
 
     def _best_point(self, timed: TimedModel, middle: Trajectories) -> tuple[Trajectories, int]:
-        """Begin at the best of some points where nobody gave estimates: the middle of a wide box says little.
+        """Begin at the best of some points, where the case has no estimates.
 
         Returns:
             Its answer, and the number of points.
@@ -170,7 +170,7 @@ class _Examination:
                 found = timed.ask(points[:n], what)
                 yield list(answers.look_at_coverage(case, found, timed.known))
             if moved is not None:
-                self._from_elsewhere(timed)
+                self._from_other_points(timed)
                 yield self._at_bounds(timed, moved)
             yield self._mixed_up(timed.known)
 
@@ -186,7 +186,7 @@ class _Examination:
         self.effects = effects.Effects.of(case, nominal, found.whole(points))
         return found
 
-    def _from_elsewhere(self, timed: TimedModel) -> None:
+    def _from_other_points(self, timed: TimedModel) -> None:
         """Move parameters that seem to do nothing from other points: the middle of a wide box says little."""
         for other in effects.other_points(self._case, timed.known).theta:
             found = self.effects
@@ -227,7 +227,7 @@ class _Examination:
         others, points = mixups.input_mixups(case), mixups.points_to_try(case, known)
         if not others:
             return []
-        model = RowsElsewhere(tuple(one.settings for one in others), points)
+        model = RowsInCircumstances(tuple(one.settings for one in others), points)
         policy = budget.policy(case.policy, SLOWER * budget.opening_s)
         n_first, what = min(mixups.N_FIRST, len(points)), "other orders and signs of columns"
         if not budget.rows(what, len(others) * n_first, len(others) * n_first):

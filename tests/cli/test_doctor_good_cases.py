@@ -198,7 +198,7 @@ def test_the_first_simulation_has_the_time_that_the_case_gives_it() -> None:
     assert given.limit_in_words(None) == "simulation.timeout_s is 7 s"
 
 
-def test_a_limit_that_nobody_wrote_is_not_called_the_case_s() -> None:
+def test_a_limit_of_the_check_is_not_said_to_be_the_case_s() -> None:
     later = TimeBudget(1, False, None, simulation_s=0.5).policy(ExecutionPolicy())
     assert later.limit_in_words(0.5) == "the limit of this check is 15 s"
     assert later.why_stopped(0.5) == "did not answer within 15 s and was stopped (the limit of this check)"
