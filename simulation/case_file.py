@@ -340,14 +340,15 @@ class FirstMeasured(Table):
     """Value of [fixed]: the measured value of an output at the start of the simulation.
 
     Attributes:
-        first_measured: name of the output.
+        first_measured: name of the output. Where the FMU declares no unit for the parameter, that of the
+            output counts: its own, or `fmu_unit`.
     """
 
     first_measured: Name
 
 
 class ValueWithUnit(Table):
-    """Value of [fixed]: a number with its unit, converted to the FMU's.
+    """Value of [fixed]: a number with its unit, converted to the one that the FMU declares.
 
     Attributes:
         value: the number. [unit]

@@ -190,10 +190,37 @@ def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: f
                     f"{where}: {name} is of type {variable.kind}, which has no unit; give the value alone"
                 )
             number, unit = _with_unit(file, data, value, start_s, where)
-            change = _into(fmu, variable, unit, where)
+            change = _into(fmu, _with_a_unit(variable, value, unit, fmu, where), unit, where)
             value = number * change.factor + change.offset
         values[name] = variable.held_at(value, where)
     return values
+
+
+def _with_a_unit(
+    variable: FmuVariable,
+    value: FirstMeasured | ValueWithUnit,
+    unit: str,
+    fmu: FmuDescription,
+    where: str,
+) -> FmuVariable:
+    """Return a variable with its own unit, or with that of the output whose measured value it gets.
+
+    Raises:
+        InputError: If neither is known: a number in `unit` may be off by 273 or by a thousand then.
+    """
+    if variable.unit or unit in ("", "1"):
+        return variable
+    if isinstance(value, ValueWithUnit):
+        raise InputError(
+            f"{where}: the FMU declares no unit for {variable.name}, so {value.value:g} {unit} cannot be "
+            "converted; give the number alone, in the unit of the FMU's equations"
+        )
+    if source := fmu.variables[value.first_measured].unit:
+        return replace(variable, unit=source)
+    raise InputError(
+        f"{where}: the FMU declares no unit for {variable.name} and none for {value.first_measured}; say in "
+        f"outputs[{value.first_measured}] what its equations count in, as fmu_unit, or give a number"
+    )
 
 
 def _with_unit(

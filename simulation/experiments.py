@@ -79,7 +79,9 @@ class ExperimentRows:
 
 
 class ExperimentsModel:
-    """The models of several experiments in one process, each opened when it is first asked.
+    """The models of several experiments in one process.
+
+    The first of each interface is opened at once, each other one when it is first asked.
 
     Attributes:
         parameter_space: The experiment's place and the parameters.
@@ -97,7 +99,10 @@ class ExperimentsModel:
         self.parameter_space, self.output_names = rows.parameter_space, rows.output_names
         self.time = rows.time
         self._models: dict[int, FmuModel] = {}
-        self._model(0)
+        # One model of each interface: its loop is compiled before a row, whose time may be limited.
+        ways = [one.interface for one in rows.settings]
+        for place in sorted({ways.index(way) for way in ways}):
+            self._model(place)
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row in the experiment that it names.

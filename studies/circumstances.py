@@ -55,3 +55,52 @@ class CircumstanceModel:
                 answers.append(model.simulate(self.row[None]))
         names = self.parameter_space.names
         return replace(Trajectories.concatenate(answers), theta=theta, parameter_names=names)
+
+
+@dataclass(frozen=True, eq=False)
+class RowsInCircumstances:
+    """Some parameter rows asked in different circumstances; numbers of both are the parameters.
+
+    Attributes:
+        settings: The circumstances; all with the same outputs and output times.
+        rows: Parameters of the FMU. Shape (m, p). [per parameter]
+    """
+
+    settings: tuple[FmuSettings, ...]
+    rows: FloatArray
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The numbers of the circumstance and of the row."""
+        sizes = {"circumstance": len(self.settings), "row": len(self.rows)}
+        return ParameterSpace(tuple(Parameter(name, -1.0, float(n)) for name, n in sizes.items()))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs."""
+        return self.settings[0].output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        return self.settings[0].scenario.time
+
+    def open(self) -> Self:
+        """Return the model: the factory that worker processes are given."""
+        return self
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate each row in its circumstance, on an FMU opened for it.
+
+        Args:
+            theta: Numbers of circumstances and rows. Shape (n, 2). [1]
+
+        Returns:
+            The trajectories.
+        """
+        answers = []
+        for number, row in theta:
+            with self.settings[round(number)].open() as model:
+                answers.append(model.simulate(self.rows[[round(row)]]))
+        names = self.parameter_space.names
+        return replace(Trajectories.concatenate(answers), theta=theta, parameter_names=names)

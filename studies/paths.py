@@ -103,8 +103,8 @@ class ProjectPaths:
     def located(self, recorded: object) -> Path | None:
         """Return the file or folder that a recorded name means: the project's own, else an embedded case's.
 
-        A record may be a stranger's. None is what is not there, is a pipe or a device, or lies
-        outside of both.
+        A file that was deleted from a case of the project is not looked for among the embedded cases. A
+        record may be a stranger's. None is what is not there, is a pipe or a device, or lies outside of both.
         """
         if not isinstance(recorded, str) or has_control(recorded) or ".." in Path(recorded).parts:
             return None
@@ -112,8 +112,16 @@ class ProjectPaths:
         with suppress(OSError):  # a name that is too long
             if file.is_relative_to(self.root) and (file.is_file() or file.is_dir()):
                 return file
-            return embedded_file(recorded)
+            return None if self.has_case_folder(recorded) else embedded_file(recorded)
         return None
+
+    def has_case_folder(self, recorded: str) -> bool:
+        """Say whether a recorded name lies in the folder of a case, and the project has that folder.
+
+        An embedded case of this name is another one then, whatever is left in the folder.
+        """
+        parts = Path(recorded).parts
+        return len(parts) > 2 and parts[0] == self.fmus.name and self.fmus.joinpath(parts[1]).is_dir()
 
     def show(self, path: Path) -> str:
         """Return a path that holds in the working folder, for people; results remember `recorded` names.
@@ -169,12 +177,16 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
     """Return the case file that a name, a file or a folder means.
 
     A name is looked for as `fmus/<name>/case.toml`, then as `fmus/*/<name>.toml`: in the project first, then
-    among the embedded cases.
+    among the embedded cases. A folder of the project whose case file was deleted stands for no embedded case.
 
     Raises:
         InputError: nothing of that name exists; the line lists the cases there are.
     """
     own, embedded = case_files(paths.fmus), case_files(EMBEDDED / "fmus")
+    deleted = {
+        name: file for name, file in embedded.items() if name not in own and _place_is_own(paths, file)
+    }
+    embedded = {name: file for name, file in embedded.items() if name not in deleted}
     named = embedded | own
     if case in named:
         return named[case]
@@ -188,6 +200,12 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
             )
         if given.exists():
             return given
+    if case in deleted:
+        file = paths.fmus / deleted[case].relative_to(EMBEDDED / "fmus")
+        raise InputError(
+            f"{paths.show(file)} is missing from the folder of this case; restore it, or remove the whole "
+            f"folder to use the embedded case {case}"
+        )
     known = f"cases in {paths.fmus}: {', '.join(own) or 'none'}"
     if paths.root != EMBEDDED:
         known += f"; embedded cases: {', '.join(embedded) or 'none'}"
@@ -196,6 +214,11 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
     close = get_close_matches(case, named, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
     raise InputError(f"there is no case {quoted(case)}; {hint}{known}")
+
+
+def _place_is_own(paths: ProjectPaths, embedded: Path) -> bool:
+    place = embedded_place(embedded)
+    return place is not None and paths.has_case_folder(place)
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """What a project holds, and what `studies best` and `studies status` show of it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
@@ -68,13 +68,25 @@ class FinishedCalibration:
         return {**about, "changed_since": list(self.changed_since), **plain(self.found)}
 
 
-def _changed(paths: ProjectPaths, files: object) -> list[str]:
-    """Return the names of recorded files that hold something else now."""
-    changed = []
-    for place, sha256 in files.items() if isinstance(files, dict) else ():
+def changed_files(paths: ProjectPaths, provenance: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files of a record that hold something else now.
+
+    Of a file that is not there, as after an import of results, nothing is known.
+
+    Args:
+        paths: the project.
+        provenance: what made a result, as it was recorded.
+    """
+    files, changed = provenance.get("files"), []
+    places = files if isinstance(files, dict) else {}
+    # Data of a case whose folder the project has are never those of an embedded case.
+    is_own = any(paths.has_case_folder(place) for place in places)
+    for place, sha256 in places.items():
         with suppress(OSError):
             file = paths.located(place)
-            changed += [file.name] if file is not None and file_digest(file) != sha256 else []
+            if file is None or (is_own and not file.is_relative_to(paths.root)):
+                continue
+            changed += [file.name] if file_digest(file) != sha256 else []
     return list(dict.fromkeys(changed))
 
 
@@ -111,7 +123,7 @@ def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
     files = sorted((paths.mlruns / "results").glob("*/calibrate-*.json"))
     outcomes = [(file.parent.name, read_outcome(file.parent, file.stem, Calibration)) for file in files]
     calibrations = [
-        FinishedCalibration(label, one, _changed(paths, one.provenance.get("files")))
+        FinishedCalibration(label, one, changed_files(paths, one.provenance))
         for label, one in outcomes
         if one is not None
     ]
@@ -173,10 +185,15 @@ def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
 
 
 def best_calibrations(project: Project) -> list[FinishedCalibration]:
-    """Return each case's calibration of least error on its latest data; one of changed files comes last."""
+    """Return each case's calibration of least error on its latest data.
+
+    One whose files are as they were comes before all others, whatever the clock said when these were made:
+    a clock may be wrong, a digest is not. The cases follow in the same order.
+    """
     by_case: dict[str, list[FinishedCalibration]] = {}
     good = [one for one in project.calibrations if math.isfinite(one.found.mse)]
-    for one in sorted(good, key=lambda one: one.outcome.finished, reverse=True):
+    good.sort(key=lambda one: one.outcome.finished, reverse=True)
+    for one in sorted(good, key=lambda one: bool(one.changed_since)):
         same = by_case.setdefault(one.found.case, [])
         if not same or _data(one) == _data(same[0]):
             same.append(one)

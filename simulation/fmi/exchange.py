@@ -106,9 +106,14 @@ class ModelExchange:
         """Simulate one row; see Solver."""
         if failure := self._start.begin(values):
             return failure
-        plan = self._plan
         self._table[calls.COMPONENT] = self._instance.component
-        end, time = loop.simulate_row(
+        end, time = loop.simulate_row(*self._arguments(y))
+        return "" if end == loop.GOOD else self._reason(end, time)
+
+    def _arguments(self, y: FloatArray) -> tuple[Any, ...]:
+        """Return what the loop is called with."""
+        plan = self._plan
+        return (
             self._table,
             self._start.input_table,
             self._start.seen_table,
@@ -120,7 +125,6 @@ class ModelExchange:
             self._cvode.vectors,
             y,
         )
-        return "" if end == loop.GOOD else self._reason(end, time)
 
     def _reason(self, end: int, time: float) -> str:
         """Return in one line why a simulation ended (see exchange_loop) at a time. [s]."""

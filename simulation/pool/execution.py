@@ -40,6 +40,7 @@ class ExecutionPolicy:
         max_workers: Most processes at once, for instance as many as there are licences; None for no limit.
         max_growth_mb: A process that has taken this much more memory than after its first row is replaced
             once its row is finished. [MB]
+        whose: What `timeout_s` is where no case file says it, for messages; "" for the case's key.
     """
 
     timeout_s: float | None = None
@@ -48,6 +49,7 @@ class ExecutionPolicy:
     max_failed_share: float = 0.5
     max_workers: int | None = None
     max_growth_mb: float = 500.0
+    whose: str = ""
 
     @property
     def finite_timeout_s(self) -> float | None:
@@ -99,6 +101,8 @@ class ExecutionPolicy:
                 "none has finished" if slowest_s is None else f"the slowest before took {slowest_s:.3g} s"
             )
             why = f" (no [simulation] timeout_s is given, and {slowest})"
+        elif self.whose:
+            why = f" ({self.whose})"
         return f"did not answer within {self.limit_s(slowest_s):.5g} s and was stopped{why}"
 
     def limit_in_words(self, slowest_s: float | None) -> str:
@@ -108,7 +112,7 @@ class ExecutionPolicy:
             slowest_s: As for `limit_s`, when it began. [s]
         """
         if self.timeout_s is not None:
-            return f"simulation.timeout_s is {self.timeout_s:g}"
+            return f"{self.whose or 'simulation.timeout_s'} is {self.timeout_s:g} s"
         limit = f"{self.limit_s(slowest_s):.5g} s"
         if slowest_s is not None:
             limit += f", {SLOWER:g} times the slowest before, at least {self.least_limit_s:g} s"

@@ -202,7 +202,9 @@ class PoolModel:
                 y[rows], failures[rows] = answer.y, answer.failures
         return self._trajectories(theta, y, tuple(failures.tolist()))
 
-    def as_finished(self, theta: FloatArray, new_process: NewProcess | None = None) -> Generator[Finished]:
+    def as_finished(
+        self, theta: FloatArray, new_process: NewProcess | None = None, *, until: float = inf
+    ) -> Generator[Finished]:
         """Simulate every row and hand over chunks as they finish, in any order.
 
         Close the generator (contextlib.closing) where not all of it is asked for: that ends what is running.
@@ -211,6 +213,7 @@ class PoolModel:
             theta: Parameters. Shape (n, p). [per parameter]
             new_process: Which rows are the first of their process; None for what this class says. With
                 AT_FIRST all rows go to one process, in their order, as long as none of them ends it.
+            until: When to end, finished or not, on the monotonic clock. [s]
 
         Yields:
             Rows that have finished.
@@ -221,7 +224,7 @@ class PoolModel:
         theta = self.parameter_space.rows(theta)
         batch = _Batch(self, theta, new_process)
         try:
-            while batch.queue.n_waiting or batch.running:
+            while (batch.queue.n_waiting or batch.running) and monotonic() < until:
                 batch.hand_out()
                 for future in wait(batch.running, _TICK_S, FIRST_COMPLETED).done:
                     yield from batch.finished(future)

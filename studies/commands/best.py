@@ -10,7 +10,7 @@ each case on its latest measurement. Without --write the command writes nothing.
 of the FMU. What the case holds under [fixed] is written with them. The formats are ssv (System Structure
 Parameter Values), modelica, csv, json, and fmu, a copy of the FMU with these start values. Some importers do
 not set start values of a description: docs/how-to/values.md. onnx writes the surrogate of least validation
-error.
+error. A warning names what changed since the calibration: the case file, its window, weights or data.
 
 Examples:
   studies best                             all labels and sizes
@@ -54,8 +54,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     if chosen.write:
         from studies.exports.written_file import write_best
 
-        document["written"] = str(write_best(project, chosen.write, chosen.n_train, chosen.experiment))
-        console.result(f"written: {document['written']}")
+        file, stale = write_best(project, chosen.write, chosen.n_train, chosen.experiment)
+        document["written"] = str(file)
+        console.result(f"written: {file}")
+        if stale:
+            console.warn(f"{file}: {stale}")
     else:
         console.show(best_blocks(project))
     console.document(document)

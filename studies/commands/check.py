@@ -3,10 +3,12 @@
 What happens: the command reads the case and compares names, units, bounds and data with the FMU. It
 simulates the estimates and the corners of the box, and changes each parameter and each input. It repeats a
 simulation in another process and with half the communication step, and measures the time of a simulation.
-The FMU runs in separate processes: a crash or a hang becomes a line of the table. The check simulates for
-two minutes at most and names what it skipped for a slow model; --thorough skips nothing. The study uses the
-simulations of the check again, and `studies run` does not repeat a check that passed. The exit code is 1 if
-anything fails. Each finding says what to do.
+If nothing fits, it tries columns of one unit in another order and numbers with another sign. Of a case with
+experiments, parameters and numbers of values are judged over all of them. The FMU runs in separate
+processes: a crash or a hang becomes a line of the table. The first simulation may take as long as the case
+allows. After it the check simulates for two minutes at most, its own limit, and names what it skipped for a
+slow model; --thorough skips nothing. The study uses the simulations of the check again, and `studies run`
+does not repeat a check that passed. The exit code is 1 if anything fails. Each finding says what to do.
 
 Examples:
   studies check                            the office

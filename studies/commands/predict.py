@@ -11,7 +11,8 @@ Where the case has experiments, --experiment names the one whose parameters, sta
 one that is held out may be named as well. Without --inputs its own recording drives it, and the picture shows
 what was measured.
 
-Results: mlruns/results/<label>/predict-<calibration>-<file>.csv and .png, and a run in MLflow.
+Results: mlruns/results/<label>/predict-<calibration>-<file>-<digest>.csv and .png, and a run in MLflow. The
+digest is that of the model with these inputs, so files of one name do not replace each other's results.
 
 Examples:
   studies predict office --inputs next-winter.csv

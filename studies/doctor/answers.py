@@ -1,32 +1,30 @@
 """What the model's answers say: estimates, box, influences, and the same again in other circumstances."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.case import Case
-from simulation.design import uniform_design
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
-from simulation.forward_model import ForwardModel
 from simulation.pool.execution import commonest
 from simulation.trajectories import Trajectories
 from studies.circumstances import CircumstanceModel
-from studies.doctor.declared import unit_problem
-from studies.doctor.finding import MORE_TIME, STOPPED, Finding, Level, finding, named
+from studies.doctor.asking import Asked, TimedModel
+from studies.doctor.declared import undeclared, unit_problem
+from studies.doctor.effects import SAME
+from studies.doctor.finding import LONGEST, MORE_TIME, STOPPED, Finding, Level, finding, named
 from studies.report.figures_model import enclosed_fraction
-from studies.report.wording import percent, quantity, shown_unit, square_of
+from studies.report.wording import count, percent, quantity, shown_unit, square_of
 
 N_CORNERS, N_COVERAGE = 32, 64
 DOCTOR_SEED = 12_345
 N_HALVINGS = 5
 """Rows that find out from where on a bound fails: to 1/32 of the way to it."""
-SAME = 1e-9
-"""Two answers of one model to one question differ by no more than this. [output's unit]"""
-UNSEEN_SHARE = 0.01
-"""A parameter that moves the output by less than this share of the uncertainty cannot be identified."""
+WIDE = 1e4
+"""Bounds with such a ratio are too wide for N_COVERAGE points to show what the box can produce."""
 COVERED_SHARE = 0.9
 """Part of the measurement that should lie within the simulated envelope."""
 STEP_SHARE = 0.2
@@ -36,13 +34,15 @@ INPUT_SHARE = 0.1
 EVEN = 1e-3
 """An input that differs by this share of its range from its reverse is the same in reverse."""
 _REMEDIES = {
-    "accepted": "widen accepted of that output, or correct the estimates",
+    "accepted": "check the units of inputs and parameters; or widen accepted of that output",
     STOPPED: MORE_TIME,
     "licen": "see that the licence can be reached from here; how many at once: [simulation] max_workers",
     "shared object": "install the system library that it names, or export the FMU with its libraries inside",
 }
 """What to do, by a sign in the reason of a failure."""
-_GENERAL_REMEDY = "try the FMU in another tool; correct the estimates, or have its exporter corrected"
+_GENERAL_REMEDY = (
+    "first check values and units of inputs, parameters and [fixed]{bare}; then try the FMU in another tool"
+)
 
 
 def with_unit(unit: str) -> str:
@@ -53,23 +53,36 @@ def with_unit(unit: str) -> str:
 def cannot_open(reason: str) -> Finding:
     """Say what to do about an FMU that cannot be opened: the reason may know it."""
     found, separator, own = reason.rpartition("; ")
-    remedy = _remedy(reason)
-    if remedy == _GENERAL_REMEDY and separator:
+    remedy = _known_remedy(reason)
+    if not remedy and separator:
         reason, remedy = found, own
-    return finding("cannot-open", "fail", reason=reason, remedy=remedy)
+    return finding("cannot-open", "fail", reason=reason, remedy=remedy or "try the FMU in another tool")
 
 
-def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
-    """Judge the answer to the estimates."""
+def middle_fails(case: Case, middle: Trajectories) -> Finding:
+    """Say that the middle of the box fails, which is no estimate."""
+    reason = middle.failures[0]
+    return finding("middle-fails", reason=reason, remedy=_remedy(reason, case))
+
+
+def look_at_estimates(case: Case, nominal: Trajectories, n_points: int = 0) -> Iterator[Finding]:
+    """Judge the answer to the estimates.
+
+    Args:
+        case: The case.
+        nominal: The answer, one row.
+        n_points: Points of which it is the best, where the case has no estimates; 0 where it has.
+    """
     if reason := nominal.failures[0]:
-        yield finding("estimates-fail", "fail", reason=reason, remedy=_remedy(reason))
+        yield finding("estimates-fail", "fail", reason=reason, remedy=_remedy(reason, case))
         return
     mse = float(case.measurement.mse(nominal.y)[0])
     series = list(zip(case.outputs, nominal.y[0].T, strict=True))
     ranges = [f"{one.name} from {y.min():.4g} to {y.max():.4g}{with_unit(one.unit)}" for one, y in series]
     unit = square_of(case.outputs[0].unit)
     error = f"{case.measurement.error_name} {quantity(mse, unit, 4)}"
-    yield finding("estimates", "ok", error=error, ranges=", ".join(ranges))
+    which = f"none for some parameters; at the best of {count(n_points, 'point')}: " if n_points else ""
+    yield finding("estimates", "ok", which=which, error=error, ranges=", ".join(ranges))
     yield from named("outputs-still", [one.name for one, y in series if np.ptp(y) <= SAME])
     if not case.scenario.n_warmup:
         yield from named("first-values", [one.name for one, y in series if _jumps(one.uncertainty, y)])
@@ -89,89 +102,63 @@ def corner_points(case: Case) -> FloatArray:
     return space.from_unit(sides[np.sort(first)][:N_CORNERS].astype(np.float64))
 
 
-def look_at_corners(answer: Trajectories) -> Finding:
-    """Judge the answers at the corners of the box."""
+def look_at_corners(answer: Trajectories) -> Iterator[Finding]:
+    """Judge the answers at the corners of the box, where there are any."""
     n_failed = int(answer.failed.sum())
     if not n_failed:
-        return finding("corners", "ok", n=answer.n)
+        yield from [finding("corners", "ok", n=answer.n)] * bool(answer.n)
+        return
     level: Level = "fail" if n_failed == answer.n else "warn"
-    return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures)[0])
+    yield finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures)[0])
 
 
 def coverage_points(case: Case) -> FloatArray:
-    """Return points all over the box. Shape (m, p). [per parameter]."""
-    return uniform_design(case.parameter_space, N_COVERAGE, DOCTOR_SEED)
+    """Return points all over the box, even in each parameter's scale. Shape (m, p). [per parameter]."""
+    space = case.parameter_space
+    u = np.random.default_rng(DOCTOR_SEED).random((N_COVERAGE, space.n_parameters))
+    return space.from_unit(u)
 
 
-def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
-    """Say how much of the measurement the box can produce."""
-    n_failed, good = int(answer.failed.sum()), answer.y[~answer.failed]
-    why, _ = commonest(answer.failures)
-    if len(good) < 2 or n_failed > case.policy.max_failed_share * answer.n:
-        return finding("box-fails", "fail", n_failed=n_failed, n=answer.n, why=why)
-    inside = enclosed_fraction(case.measurement, good)
+def look_at_coverage(case: Case, found: Asked, known: Trajectories) -> Iterator[Finding]:
+    """Say how much of the measurement the box can produce.
+
+    Few simulations can show that it is covered, and never that it is not.
+
+    Args:
+        case: The case.
+        found: The answers to `coverage_points`, or to the first of them.
+        known: All good simulations of the box, these among them.
+    """
+    answer, is_whole = found.answer, found.n == N_COVERAGE and found.is_whole
+    n_failed, (why, _) = int(answer.failed.sum()), commonest(answer.failures)
+    share = case.policy.max_failed_share
+    is_hopeless = n_failed > share * answer.n if is_whole else case.policy.is_hopeless(answer.n, n_failed)
+    if is_hopeless or (is_whole and answer.n - n_failed < 2):
+        yield finding("box-fails", "fail", n_failed=n_failed, n=answer.n, why=why)
+        return
+    inside = enclosed_fraction(case.measurement, known.y)
     failed = f", {n_failed} of {answer.n} failed; the reason: {why}" if n_failed else ""
-    level: Level = "ok" if inside >= COVERED_SHARE else "warn"
-    return finding("covered", level, inside=inside, n=answer.n, failed=failed)
-
-
-def moved_points(case: Case, base: FloatArray) -> FloatArray:
-    """Move each parameter to both of its ends, one at a time. Shape (2 p, p)."""
-    space, p = case.parameter_space, len(base)
-    theta = np.tile(base, (2 * p, 1))
-    theta[2 * np.arange(p), np.arange(p)], theta[2 * np.arange(p) + 1, np.arange(p)] = space.ends(base)
-    return theta
-
-
-def influence(case: Case, nominal: Trajectories, answer: Trajectories) -> FloatArray:
-    """Return how far each parameter moves an output.
-
-    Args:
-        case: the case.
-        nominal: the answer that they are compared with, one row.
-        answer: the answers to `moved_points`, or to the first of them.
-
-    Returns:
-        Largest change, NaN where both bounds failed. Shape (p,). [uncertainties]
-    """
-    moved = np.abs(answer.y - nominal.y[0]).max(axis=1) / case.measurement.uncertainty
-    return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(-1, 2), axis=1))
-
-
-def look_at_influence(case: Case, share: FloatArray, most: FloatArray) -> Finding:
-    """Say whether every parameter moves an output.
-
-    Args:
-        case: the case.
-        share: how far the first parameters move an output from the estimates, NaN where that is not known.
-            Shape (p,). [uncertainties]
-        most: the largest of this and the same from another point, where it was asked. Shape (p,).
-            [uncertainties]
-    """
-
-    def which(is_so: np.ndarray) -> str:
-        return ", ".join(case.parameter_space.names[i] for i in np.flatnonzero(is_so))
-
-    if names := which(most <= SAME):
-        return finding("no-effect", "fail", names=names)
-    if names := which(share <= SAME):
-        return finding("no-effect-here", names=names)
-    if names := which(np.isnan(most)):
-        return finding("effect-unknown", names=names)
-    weak, least = which(most < UNSEEN_SHARE), int(np.argmin(most))
-    values = {"least": case.parameter_space.names[least], "most": most[least], "names": weak}
-    return finding("effect", "warn" if weak else "ok", **values)
+    is_covered = inside >= COVERED_SHARE
+    ratios = [(one.upper / one.lower, one) for one in case.parameter_space.parameters if one.scale == "log"]
+    widest = max((ratio for ratio, _ in ratios), default=1.0)
+    if not is_covered and widest >= WIDE:
+        values = {"widest": f"{np.log10(widest):.2g} decades", "failed": failed}
+        yield finding("covered-wide", "ok", inside=inside, n=known.n, **values)
+    elif is_covered or is_whole:
+        level: Level = "ok" if is_covered else "warn"
+        yield finding("covered", level, inside=inside, n=known.n, failed=failed)
 
 
 def look_at_bounds(
-    case: Case, base: FloatArray, answer: Trajectories, model: ForwardModel | None
+    case: Case, base: FloatArray, answer: Trajectories, rows: IntArray, model: TimedModel | None
 ) -> Iterator[Finding]:
     """Say which single parameters cannot be moved to a bound, from where on, and why.
 
     Args:
         case: The case.
         base: The estimates. Shape (p,). [per parameter]
-        answer: The answers to `moved_points`, or to the first of them.
+        answer: The answers to some of `moved_points`, m rows.
+        rows: Which of them. Shape (m,).
         model: Shows from where on a bound fails; None where there is no time for that.
     """
     failed, space = np.flatnonzero(answer.failed), case.parameter_space
@@ -181,13 +168,19 @@ def look_at_bounds(
     for _ in range(N_HALVINGS):
         if model is not None:
             middle = 0.5 * (good + bad)
-            is_good = ~model.simulate(space.from_unit(middle)).failed[:, None]
+            found = model.ask(space.from_unit(middle), "from where on bounds fail")
+            if not found.is_whole:
+                # Which half fails is not known of all.
+                model = None
+                break
+            is_good = ~found.answer.failed[:, None]
             good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
     regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
-        one, bound = space.parameters[row // 2], answer.theta[row, row // 2]
-        where, side = ("above", "upper") if row % 2 else ("below", "lower")
-        begin = "" if model is None else f"{where} {edge[row // 2]:.3g}, "
+        moved, at = divmod(int(rows[row]), 2)
+        one, bound = space.parameters[moved], answer.theta[row, moved]
+        where, side = ("above", "upper") if at else ("below", "lower")
+        begin = "" if model is None else f"{where} {edge[moved]:.3g}, "
         regions.append(
             f"{one.name} fails {begin}at its {side} bound {bound:.4g} {shown_unit(one.unit)}".rstrip()
         )
@@ -195,7 +188,7 @@ def look_at_bounds(
     yield from named("bounds-fail", regions, "; ", share=share, reason=reason)
 
 
-def look_at_inputs(names: tuple[str, ...], nominal: Trajectories, answer: Trajectories) -> Finding:
+def look_at_inputs(names: Sequence[str], nominal: Trajectories, answer: Trajectories) -> Finding:
     """Say whether every input moves an output.
 
     Args:
@@ -306,5 +299,13 @@ def _jumps(uncertainty: float, values: FloatArray) -> bool:
     return len(values) > 2 and step > max(10.0 * uncertainty, float(np.ptp(values[1:])))
 
 
-def _remedy(reason: str) -> str:
-    return next((to_do for sign, to_do in _REMEDIES.items() if sign in reason.lower()), _GENERAL_REMEDY)
+def _remedy(reason: str, case: Case) -> str:
+    """Say what to do about a simulation that fails; undeclared units come first."""
+    names = undeclared(case)
+    more = f" and {len(names) - LONGEST} more" if len(names) > LONGEST else ""
+    bare = f" (the FMU declares no unit of {', '.join(names[:LONGEST])}{more})" if names else ""
+    return _known_remedy(reason) or _GENERAL_REMEDY.format(bare=bare)
+
+
+def _known_remedy(reason: str) -> str:
+    return next((to_do for sign, to_do in _REMEDIES.items() if sign in reason.lower()), "")

@@ -19,6 +19,8 @@ FEW, FAR = 200, 10.0
 """One value of so many may be far from the others: farther than so many times their own span."""
 MANY = 0.2
 """Share of the values that may be one and the same far value, which stands for no value."""
+PYTHON = "python"
+"""In the name of what exports Python scripts, as PythonFMU: these need an interpreter, and no tool."""
 BARE = 0.05
 """Share of the window at its begin or end that may be without measured values, as a gap may lie there."""
 
@@ -28,14 +30,13 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     fmu, space, convert = case.fmu, case.parameter_space, case.settings.parameters_for_fmu
     parameters = [fmu.variables[name] for name in case.settings.set_names]
     inputs = case.scenario.input_names
+    bare = undeclared(case)
     sizes = {"parameter": len(parameters), "input": len(inputs), "output": len(case.outputs)}
     counts = {f"{noun}s": count(n, noun) for noun, n in sizes.items()}
     yield finding("declared", "ok", fmu=fmu.path.name, **counts)
     yield _fmu(case)
     every = [fmu.variables[name] for name in fmu.names("input")]
     yield from named("inputs-left-alone", [one.name for one in every if one.is_out_of_reach])
-    used = [fmu.variables[name] for name in (*inputs, *(output.name for output in case.outputs))]
-    bare = [one.name for one in (*used, *parameters) if one.kind in REAL_KINDS and not one.unit]
     yield from named("no-unit", bare, n=count(len(bare), "variable"))
     boxes = zip(parameters, convert(space.lower), convert(space.upper), strict=True)
     beyond = [f"{one.name} ({_ends(one)})" for one, *box in boxes if _is_beyond(one, *box)]
@@ -46,13 +47,37 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     yield from named("beyond", beyond)
 
 
+def undeclared(case: Case) -> list[str]:
+    """Return the inputs, outputs and parameters without a unit."""
+    names = (*case.scenario.input_names, *(one.name for one in case.outputs), *case.settings.set_names)
+    used = [case.fmu.variables[name] for name in names]
+    return [one.name for one in used if one.kind in REAL_KINDS and not one.unit]
+
+
+def n_values(case: Case) -> int:
+    """Return the number of measured values that a single experiment is compared with."""
+    return sum(len(one.samples.time) for one in case.outputs if one.is_measured)
+
+
+def look_at_number_of_values(case: Case) -> Finding:
+    """Say whether all experiments together have as many values as their parameters need."""
+    p, n_experiments = case.parameter_space.n_parameters, count(len(case.experiments), "experiment")
+    n = sum(n_values(one) for one in case.experiments)
+    found = f"{n_experiments}: {count(n, 'measured value')} for {count(p, 'parameter')}"
+    remedy = "lengthen the windows, add experiments, or fix parameters"
+    return finding("values", "warn" if n <= p else "ok", found=found, remedy=remedy)
+
+
 def look_at_data(case: Case) -> Iterator[Finding]:
-    """Look at the recordings, as the model and the comparison get them."""
+    """Look at the recordings, as the model and the comparison get them.
+
+    Whether the values are enough is said of single cases alone, see `look_at_number_of_values`.
+    """
     scenario, p = case.scenario, case.parameter_space.n_parameters
-    n_samples = sum(len(one.samples.time) for one in case.outputs if one.is_measured)
+    n_samples = n_values(case)
     partly = list(_partly_covered(case))
     remedies = ["shorten the window, or measure all of it: the rest is not calibrated"] * bool(partly)
-    if n_samples <= p:
+    if n_samples <= p and not case.experiment:
         excess = f"{count(p, 'parameter')} cannot be found from {count(n_samples, 'value')}"
         remedies.append(excess if partly else f"{excess}; lengthen the window")
     yield finding(
@@ -113,6 +138,9 @@ def _fmu(case: Case) -> Finding:
     fmu, interface = case.fmu, case.fmu.interfaces[case.interface]
     said = f"FMI {fmu.fmi_version} {case.interface} by {fmu.generation_tool or 'an unnamed tool'}"
     said += ", one instance per process" * interface.can_be_instantiated_only_once_per_process
+    if interface.needs_execution_tool and PYTHON in fmu.generation_tool.lower():
+        # There is no tool, and no licence, to be had.
+        return finding("fmu", "ok", said=f"{said}, runs in Python with the packages that it imports")
     if interface.needs_execution_tool:
         return finding("fmu-needs-its-tool", said=said)
     return finding("fmu", "ok", said=said)

@@ -1,315 +1,310 @@
 """The whole examination, in the order in which errors can occur; slow models get a short one."""
 
-import time
 from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from time import monotonic
+from typing import cast
 
 import numpy as np
 
 import studies.doctor.answers as answers
-from simulation.arrays import BoolArray, FloatArray
+import studies.doctor.effects as effects
+import studies.doctor.mixups as mixups
 from simulation.case import named_experiments, with_step
 from simulation.errors import InputError
-from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
 from simulation.pool.worker_process import NewProcess
-from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
+from studies.circumstances import RowsInCircumstances
 from studies.console import format_seconds
-from studies.doctor.declared import look_at_data, look_at_declaration
-from studies.doctor.finding import STOPPED, Diagnosis, Finding, finding, named
+from studies.doctor.asking import Asked, TimedModel
+from studies.doctor.budget import EXAMINATION_S, SLOWER, TimeBudget
+from studies.doctor.declared import look_at_data, look_at_declaration, look_at_number_of_values
+from studies.doctor.finding import Diagnosis, Finding, finding, named
 from studies.physical_model import give_up_reuse, never_reused_file, open_physical_model
 from studies.stages.pipeline import Study
 
-N_STEPS = 7
-PIECE = 8
-"""Simulations of each worker between two looks at the clock."""
+N_STEPS = 8
 N_ORDERED, LEAST_ORDERED, QUICK_S = 8, 2, 0.5
 """Simulations that are repeated in the reverse order where one takes less than QUICK_S [s], and else."""
 LEAST_TIMES = 3.0
 """A time-out of fewer times the simulation of the estimates stops rows that are only somewhat harder."""
+N_TRIES = 8
+"""Points of the box beside its middle, one of which stands for estimates where there are none."""
 
 
-def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
+def examine(study: Study, *, is_thorough: bool = False, limit_s: float = EXAMINATION_S) -> Diagnosis:
     """Examine the case of a study.
 
     Args:
         study: the case, and how many processes simulate at once.
         is_thorough: whether nothing is left out, however long it takes.
+        limit_s: simulating time of an examination that is not thorough; the first simulation may take
+            longer. [s]
     """
-    if not study.case.experiments:
-        return _examine(study, is_thorough=is_thorough)
-    findings, longest_s = list[Finding](), 0.0
-    for name, case in named_experiments(study.case):
-        found = _examine(replace(study, case=case), is_thorough=is_thorough)
-        findings += (replace(one, what=f"{name}: {one.what}") for one in found.findings)
-        longest_s = max(longest_s, found.simulation_s)
-    return Diagnosis(tuple(findings), longest_s)
-
-
-def _examine(study: Study, *, is_thorough: bool) -> Diagnosis:
-    """Examine a single experiment."""
-    case = study.case
-    examination = _Examination(study, is_thorough=is_thorough)
-    findings = [*look_at_declaration(case), *look_at_data(case)]
-    with (
-        study.console.progress("examinations", N_STEPS) as advance,
-        closing(examination.simulated()) as simulated,
-    ):
-        for step, found in enumerate(simulated, start=1):
-            findings += found
-            advance(min(step, N_STEPS), N_STEPS)
-    return Diagnosis(tuple(findings), examination.budget.simulation_s)
+    case, until = study.case, monotonic() + limit_s
+    if not case.experiments:
+        one = _Examination(study, is_thorough=is_thorough, limit_s=limit_s)
+        return Diagnosis((*one.findings(), *one.of_effects()), one.budget.simulation_s)
+    found, longest_s, parts = list[Finding](), 0.0, dict[str, effects.Effects | None]()
+    members = list(named_experiments(case))
+    for n_before, (name, member) in enumerate(members):
+        # What one experiment leaves of its share the others have.
+        share_s = max(0.0, until - monotonic()) / (len(members) - n_before)
+        part, is_first = replace(study, case=member), n_before == 0
+        one = _Examination(part, is_thorough=is_thorough, limit_s=share_s, is_first=is_first)
+        found += (replace(line, what=f"{name}: {line.what}") for line in one.findings())
+        longest_s = max(longest_s, one.budget.simulation_s)
+        parts[name] = one.effects
+    found.append(look_at_number_of_values(case))
+    whole = effects.over_experiments(case, [parts[one.name] for one, _ in case.members])
+    found += filter(None, [effects.look_at_effects(whole)])
+    return Diagnosis(tuple(found), longest_s)
 
 
 class _Examination:
-    """What is simulated and judged, and how long that may take."""
+    """What is simulated and judged of a single experiment, and how long that may take.
 
-    def __init__(self, study: Study, *, is_thorough: bool) -> None:
+    Attributes:
+        budget: Its time.
+        effects: What parameters do; None where nothing could be simulated.
+    """
+
+    def __init__(self, study: Study, *, is_thorough: bool, limit_s: float, is_first: bool = True) -> None:
         self._study, self._case, policy = study, study.case, study.case.policy
         self._base = study.case.parameter_space.expected
-        self._is_random = False
         n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
-        self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s)
+        self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s, limit_s=limit_s)
+        self.effects: effects.Effects | None = None
+        self._is_random = False
+        self._is_first = is_first
 
-    def simulated(self) -> Generator[list[Finding]]:
+    def findings(self) -> list[Finding]:
+        """Examine all but what parameters do, which is judged over all experiments."""
+        found = [*look_at_declaration(self._case), *look_at_data(self._case)]
+        with (
+            self._study.console.progress("examinations", N_STEPS) as advance,
+            closing(self._simulated()) as simulated,
+        ):
+            for step, more in enumerate(simulated, start=1):
+                found += more
+                advance(min(step, N_STEPS), N_STEPS)
+        return found
+
+    def of_effects(self) -> Iterator[Finding]:
+        """Say whether every parameter moves an output."""
+        if self.effects is not None and (line := effects.look_at_effects(self.effects)):
+            yield line
+
+    def _simulated(self) -> Generator[list[Finding]]:
         """Simulate, and judge what comes; ends early where the estimates fail."""
-        case, base, budget = self._case, self._base, self.budget
-        policy, warn = self._policy(FIRST_S), self._study.console.warn
+        case, budget = self._case, self.budget
+        policy, warn = budget.first_policy(case.policy), self._study.console.warn
+        if budget.is_over and not self._is_first:
+            budget.left_out.append("all that needs a simulation")
+            yield list(self._left_out())
+            return
         with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
             try:
-                nominal, budget.opening_s = _timed(alone, base)
-                budget.simulation_s = budget.opening_s
+                began = monotonic()
+                nominal = alone.simulate(self._base[None])
+                budget.simulation_s = budget.opening_s = monotonic() - began
+                budget.begin()
             except InputError as error:
                 reason = " ".join(str(error).split()).removeprefix(f"{case.fmu.path}: ")
                 yield [answers.cannot_open(reason)]
                 return
-            yield list(answers.look_at_estimates(case, nominal))
+            timed, n_points = TimedModel(alone, budget), 0
+            if not effects.has_estimates(case):
+                if nominal.failed[0]:
+                    yield [answers.middle_fails(case, nominal)]
+                nominal, n_points = self._best_point(timed, nominal)
+            yield list(answers.look_at_estimates(case, nominal, n_points))
             if nominal.failed[0]:
                 return
             if budget.rows("a repetition", 1, at_once=False):
                 # Without opening the FMU.
-                _, budget.simulation_s = _timed(alone, base, NewProcess.WHEN_NEEDED)
-                yield self._in_any_order(alone)
-            yield from self._in_the_box(nominal)
+                began = monotonic()
+                answer = timed.ask(self._base[None], "a repetition", NewProcess.WHEN_NEEDED)
+                if answer.is_whole:
+                    budget.simulation_s = monotonic() - began
+                yield self._in_any_order(timed)
+            yield from self._in_the_box(nominal, is_first=n_points == 0)
             yield self._in_other_processes(nominal)
         yield list(self._costs())
 
-    def _in_any_order(self, alone: PoolModel) -> list[Finding]:
+    def _in_any_order(self, timed: TimedModel) -> list[Finding]:
         """Simulate points in one process, and in another one in the reverse order."""
-        wanted = N_ORDERED if self.budget.simulation_s < QUICK_S else LEAST_ORDERED
-        if not self.budget.rows("the same answer in any order", 2 * wanted, 2 * wanted, at_once=False):
+        what, budget = "the same answer in any order", self.budget
+        n = N_ORDERED if budget.simulation_s < QUICK_S else LEAST_ORDERED
+        if not budget.rows(what, 2 * n, 2 * n, at_once=False):
             return []
         # Inside the box: at a corner a parameter may do nothing.
-        points = np.vstack([self._base, answers.coverage_points(self._case)[: wanted - 1]])
-        there = alone.simulate(points, NewProcess.AT_FIRST)
-        back = alone.simulate(points[::-1], NewProcess.AT_FIRST)
-        back = back.take(np.arange(wanted)[::-1])
+        points = np.vstack([self._base, answers.coverage_points(self._case)[: n - 1]])
+        orders = points, points[::-1]
+        asked = [timed.ask(one, what, NewProcess.AT_FIRST) for one in orders]
+        if not all(one.is_whole for one in asked):
+            return []
+        there, back = asked[0].answer, asked[1].answer.take(np.arange(n)[::-1])
         if (others := np.flatnonzero(answers.differ(there, back))).size:
-            first = alone.simulate(points[others[[0, 0]]], NewProcess.EACH_ROW)
-            if answers.differ(first.take([0]), first.take([1]))[0]:
+            twice = timed.ask(points[others[[0, 0]]], what, NewProcess.EACH_ROW)
+            if twice.is_whole and answers.differ(*(twice.answer.take([row]) for row in (0, 1)))[0]:
                 # Nothing shows what it remembers.
                 self._is_random = True
-                return [answers.look_at_repeats(first.take([0]), first.take([1]))]
+                return [answers.look_at_repeats(*(twice.answer.take([row]) for row in (0, 1)))]
             if not never_reused_file(self._study.paths, self._case).is_file():
                 give_up_reuse(self._study)
         return [answers.look_at_order(there, back)]
 
-    def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
+    def _best_point(self, timed: TimedModel, middle: Trajectories) -> tuple[Trajectories, int]:
+        """Begin at the best of some points, where the case has no estimates.
+
+        Returns:
+            Its answer, and the number of points.
+        """
+        case, what = self._case, "points beside the middle"
+        n = self.budget.rows(what, N_TRIES, at_once=False)
+        tried = timed.ask(answers.coverage_points(case)[:n], what).answer if n else middle.take([])
+        points = Trajectories.concatenate([middle, tried])
+        mse = np.where(points.failed, np.inf, case.measurement.mse(points.y))
+        best = int(np.argmin(mse))
+        self._base = points.theta[best]
+        return points.take([best]), points.n
+
+    def _in_the_box(self, nominal: Trajectories, *, is_first: bool) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
         case, budget = self._case, self.budget
-        with open_physical_model(self._study, policy=self._policy(budget.usual_s)) as stored:
-            model = _StoringModel(stored)
-            model.store_finished(nominal, np.ones(1, dtype=np.bool_))
-            if n := budget.rows("influence of the parameters", 2 * len(self._base), 2):
-                yield list(self._influence(model, nominal, n - n % 2))
+        with open_physical_model(self._study, policy=budget.policy(case.policy)) as stored:
+            # A single experiment's model is a pool.
+            timed = TimedModel(cast("PoolModel", stored.unstored), budget, stored.store)
+            timed.add(nominal, is_first=is_first)
+            moved = self._moved(timed, nominal)
             points, what = answers.corner_points(case), "corners of the box"
             if n := budget.rows(what, len(points), 2):
-                yield [answers.look_at_corners(self._in_pieces(model, points[:n], what))]
+                yield list(answers.look_at_corners(timed.ask(points[:n], what).answer))
             points, what = answers.coverage_points(case), "coverage of the measurement"
             if n := budget.rows(what, len(points), 8):
-                yield [answers.look_at_coverage(case, self._in_pieces(model, points[:n], what))]
+                found = timed.ask(points[:n], what)
+                yield list(answers.look_at_coverage(case, found, timed.known))
+            if moved is not None:
+                self._from_other_points(timed)
+                yield self._at_bounds(timed, moved)
+            yield self._mixed_up(timed.known)
 
-    def _in_pieces(self, model: ForwardModel, theta: FloatArray, what: str) -> Trajectories:
-        """Simulate until the time is over, at least one piece: rows that hang must not eat up hours."""
-        size, budget = PIECE * self.budget.n_workers, self.budget
-        parts = [model.simulate(theta[:size])]
-        for start in range(size, len(theta), size):
-            if budget.is_over:
-                budget.left_out.append(f"{what} ({start} of {len(theta)} simulations)")
-                break
-            parts.append(model.simulate(theta[start : start + size]))
-        return Trajectories.concatenate(parts)
+    def _moved(self, timed: TimedModel, nominal: Trajectories) -> Asked | None:
+        """Move every parameter from the estimates; None where there is no time for that."""
+        case, what = self._case, "influence of the parameters"
+        points = effects.moved_points(case, self._base)
+        n = self.budget.rows(what, len(points), 2)
+        if not n:
+            return None
+        found = timed.ask(points[: n - n % 2], what)
+        found = replace(found, n=len(points))
+        self.effects = effects.Effects.of(case, nominal, found.whole(points))
+        return found
 
-    def _influence(self, model: ForwardModel, nominal: Trajectories, n: int) -> Iterator[Finding]:
-        """Move every parameter; where one does nothing, once more from another point."""
-        case = self._case
-        answer = model.simulate(answers.moved_points(case, self._base)[:n])
-        most = share = answers.influence(case, nominal, answer)
-        if not (share > answers.SAME).all():
-            other = answers.coverage_points(case)[0]
-            moved = model.simulate(np.vstack([other, answers.moved_points(case, other)[:n]]))
-            if not moved.failed[0]:
-                there = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
-                most = np.fmax(share, there)
-        yield answers.look_at_influence(case, share, most)
+    def _from_other_points(self, timed: TimedModel) -> None:
+        """Move parameters that seem to do nothing from other points: the middle of a wide box says little."""
+        for other in effects.other_points(self._case, timed.known).theta:
+            found = self.effects
+            if found is None or not len(idle := found.seem_idle):
+                return
+            points = effects.moved_points(self._case, other, idle)
+            what = "influence from other points"
+            if not self.budget.rows(what, len(points), len(points)):
+                return
+            answer = timed.ask(points, what)
+            base = timed.ask(other[None], what).one(0)
+            if base is not None:
+                there = effects.influence(self._case, base, answer.whole(points))
+                self.effects = found.also(idle, there)
+
+    def _at_bounds(self, timed: TimedModel, moved: Asked) -> list[Finding]:
+        """Say from where on bounds fail."""
+        answer, budget = moved.answer, self.budget
         n_rows = answers.N_HALVINGS * int(answer.failed.sum())
-        is_traced = n_rows > 0 and self.budget.rows("from where on bounds fail", n_rows, n_rows) > 0
-        yield from answers.look_at_bounds(case, self._base, answer, model if is_traced else None)
+        is_traced = n_rows > 0 and budget.rows("from where on bounds fail", n_rows, n_rows) > 0
+        found = answers.look_at_bounds(
+            self._case, self._base, answer, moved.rows, timed if is_traced else None
+        )
+        return list(found)
+
+    def _mixed_up(self, known: Trajectories) -> list[Finding]:
+        """Try other orders and signs of columns, where nothing fits well."""
+        case = self._case
+        # Few simulations may all be poor by chance.
+        if known.n < mixups.N_POINTS or mixups.fits_well(case, known):
+            return []
+        better = mixups.better_outputs(case, known)
+        better += self._better_inputs(known)
+        return list(mixups.look_at_mixups(better))
+
+    def _better_inputs(self, known: Trajectories) -> list[mixups.Better]:
+        case, budget = self._case, self.budget
+        others, points = mixups.input_mixups(case), mixups.points_to_try(case, known)
+        if not others:
+            return []
+        model = RowsInCircumstances(tuple(one.settings for one in others), points)
+        policy = budget.policy(case.policy, SLOWER * budget.opening_s)
+        n_first, what = min(mixups.N_FIRST, len(points)), "other orders and signs of columns"
+        if not budget.rows(what, len(others) * n_first, len(others) * n_first):
+            return []
+        with PoolModel(model.open, budget.n_workers, policy=policy) as pool:
+            timed, tried = TimedModel(pool, budget), list[tuple[mixups.Mixup, Trajectories]]()
+            for number, other in enumerate(others):
+                rows = np.column_stack([np.full(len(points), number), np.arange(len(points))]).astype(float)
+                answer = timed.ask(rows[:n_first], what).answer
+                good = answer.take(~answer.failed)
+                if not mixups.may_fit(case, known, points[good.theta[:, 1].astype(int)], good):
+                    continue
+                if budget.rows(what, len(rows) - n_first, 1):
+                    answer = Trajectories.concatenate([answer, timed.ask(rows[n_first:], what).answer])
+                tried.append((other, answer))
+        return mixups.better_inputs(case, known, tried)
 
     def _in_other_processes(self, nominal: Trajectories) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
         case, budget, names = self._case, self.budget, self._case.scenario.input_names
-        halved = with_step(case, case.communication_step_s / 2.0)
+        halved, what = (
+            with_step(case, case.communication_step_s / 2.0),
+            "another process, half the step, other inputs",
+        )
         model = answers.circumstances(case, halved, self._base)
-        policy = self._policy(budget.usual_s, SLOWER * budget.opening_s)
+        policy = budget.policy(case.policy, SLOWER * budget.opening_s)
         with PoolModel(model.open, min(budget.n_workers, 2 + len(names)), policy=policy) as other:
-            n = budget.rows("another process, half the step, other inputs", 3 + len(names), 3)
+            n = budget.rows(what, 3 + len(names), 3)
             if not n:
                 return []
-            answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
-        asked = names[: n - 3]
-        findings = [answers.look_at_halving(case, halved, nominal, answer.take([1]))]
-        if not self._is_random:
-            findings.insert(0, answers.look_at_repeats(nominal, answer.take([0])))
-        if asked:
-            changed = answer.take(np.arange(2, 2 + len(asked)))
-            findings.append(answers.look_at_inputs(asked, nominal, changed))
+            asked = TimedModel(other, budget).ask(np.arange(n - 1, dtype=np.float64)[:, None], what)
+        fresh, half = asked.one(0), asked.one(1)
+        findings = []
+        if fresh is not None and not self._is_random:
+            findings.append(answers.look_at_repeats(nominal, fresh))
+        if half is not None:
+            findings.append(answers.look_at_halving(case, halved, nominal, half))
+        if (changed := asked.answer.take(asked.rows > 1)).n:
+            findings.append(
+                answers.look_at_inputs([names[row - 2] for row in asked.rows if row > 1], nominal, changed)
+            )
         return findings
 
     def _costs(self) -> Iterator[Finding]:
         """Say what a simulation takes, and name a time-out that is near to it."""
-        command, simulation_s = self._study.command, self.budget.simulation_s
         timeout_s = self._case.policy.timeout_s
-        each = f"{1000.0 * simulation_s:.3g} ms" if simulation_s < 1.0 else format_seconds(simulation_s)
-        yield finding("cost", "ok", each=each, command=command)
-        if timeout_s is not None and timeout_s < LEAST_TIMES * simulation_s:
-            yield finding("timeout", limit=f"{timeout_s:g} s", each=each)
-        yield from named("left-out", self.budget.left_out, "; ", each=each, command=command)
+        yield finding("cost", "ok", each=self._each, command=self._study.command)
+        if timeout_s is not None and timeout_s < LEAST_TIMES * self.budget.simulation_s:
+            yield finding("timeout", limit=f"{timeout_s:g} s", each=self._each)
+        yield from self._left_out()
 
-    def _policy(self, usual_s: float, more_s: float = 0.0) -> ExecutionPolicy:
-        """Return the case's policy with the time-out of the budget and without an end when many fail."""
-        timeout_s = self.budget.timeout(usual_s, more_s)
-        return replace(self._case.policy, timeout_s=timeout_s, max_failed_share=1.0)
-
-
-def _timed(
-    model: PoolModel, row: FloatArray, new_process: NewProcess | None = None
-) -> tuple[Trajectories, float]:
-    started = time.perf_counter()
-    answer = model.simulate(row[None], new_process)
-    return answer, time.perf_counter() - started
-
-
-class _StoringModel(WrappedModel):
-    """A stored model that does not store rows that took too long, as others may wait longer for them."""
-
-    def __init__(self, model: StoredModel) -> None:
-        """Wrap a stored model.
-
-        Args:
-            model: The model to ask.
-        """
-        super().__init__(model)
-        self._stored = model
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        """Read the rows that are stored and simulate the others.
-
-        Args:
-            theta: Parameters, no row twice. Shape (n, p). [per parameter]
-        """
-        missing = self._stored.missing(theta)
-        known, new = np.flatnonzero(~missing), np.flatnonzero(missing)
-        parts = [self._stored.store.read(theta[known])] if len(known) else []
-        order = [known]
-        if len(new):
-            for rows, answer, is_first in self._stored.anew(theta[new]):
-                order.append(new[rows])
-                parts.append(answer)
-                self.store_finished(answer, is_first)
-        return Trajectories.concatenate(parts).take(np.argsort(np.concatenate(order)))
-
-    def store_finished(self, rows: Trajectories, is_first: BoolArray) -> None:
-        """Store rows that finished, unless they are stored.
-
-        Args:
-            rows: Rows of any model.
-            is_first: Which of them were the first of their process. Shape (n,).
-        """
-        finished = np.array([STOPPED not in reason for reason in rows.failures], dtype=np.bool_)
-        new = finished & ~self._stored.store.find(rows.theta)
-        self._stored.store.append(rows.take(new), is_first[new])
-
-
-EXAMINATION_S = 120.0
-"""Simulating time of an examination that is not thorough. [s]"""
-FIRST_S = 600.0
-"""Longest that the first simulation may take where the case names no time-out. [s]"""
-SLOWER = 20.0
-"""A row may take so many times what the estimates take, and LEAST_S more: corners are harder for a solver."""
-LEAST_S = 5.0
-
-
-@dataclass
-class TimeBudget:
-    """Time of an examination, and what had to be left out to keep it.
-
-    Args:
-        n_workers: simulations at once.
-        is_thorough: nothing is left out.
-        timeout_s: time-out of the case, None for none. [s]
-        simulation_s: time of one simulation, once it is known. [s]
-        opening_s: time of the first one, with the start of its process and the opening of the FMU. [s]
-        left_out: examinations cut short, with what was done instead.
-    """
-
-    n_workers: int
-    is_thorough: bool
-    timeout_s: float | None
-    simulation_s: float = 0.0
-    opening_s: float = 0.0
-    left_out: list[str] = field(default_factory=list)
-    _started: float = field(default_factory=time.perf_counter)
+    def _left_out(self) -> Iterator[Finding]:
+        """Say what the time was not enough for."""
+        limit, command = format_seconds(self.budget.limit_s), self._study.command
+        left_out = list(dict.fromkeys(self.budget.left_out))
+        yield from named("left-out", left_out, "; ", each=self._each, command=command, limit=limit)
 
     @property
-    def is_over(self) -> bool:
-        """Whether no further simulation should start."""
-        return not self.is_thorough and time.perf_counter() - self._started > EXAMINATION_S
-
-    @property
-    def usual_s(self) -> float:
-        """Time-out of all simulations but the first, where the case names none. [s]."""
-        return LEAST_S + SLOWER * self.simulation_s
-
-    def timeout(self, usual_s: float, more_s: float) -> float | None:
-        """Return a time-out: the case's, else the usual one, which a thorough examination does without. [s].
-
-        Args:
-            usual_s: the usual one. [s]
-            more_s: time that is added to either. [s]
-        """
-        timeout_s = usual_s if self.timeout_s is None and not self.is_thorough else self.timeout_s
-        return None if timeout_s is None else timeout_s + more_s
-
-    def rows(self, what: str, wanted: int, least: int = 1, *, at_once: bool = True) -> int:
-        """Return how many simulations an examination may have, and remember what it has to do without.
-
-        Args:
-            what: the examination, in words.
-            wanted: simulations it asks for.
-            least: fewer say nothing.
-            at_once: whether all workers share them.
-        """
-        if self.is_thorough:
-            return wanted
-        left = EXAMINATION_S - (time.perf_counter() - self._started)
-        rounds = int(left / self.simulation_s) if self.simulation_s > 0.0 else wanted
-        affordable = max(0, rounds) * (self.n_workers if at_once else 1)
-        if affordable >= wanted:
-            return wanted
-        given = affordable if affordable >= least else 0
-        self.left_out.append(f"{what} ({given} of {wanted} simulations)" if given else what)
-        return given
+    def _each(self) -> str:
+        """What a simulation takes, in words."""
+        simulation_s = self.budget.simulation_s
+        return f"{1000.0 * simulation_s:.3g} ms" if simulation_s < 1.0 else format_seconds(simulation_s)

@@ -19,12 +19,12 @@ import numpy as np
 from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
-from simulation.foreign_file import FMU, check_members, read_limited
+from simulation.foreign_file import CASE, FMU, check_members, parse_toml, read_limited, read_text
 from simulation.foreign_text import quoted, shortened
 from simulation.units import in_si
 from studies.project import FinishedCalibration, Project, best_calibrations
-from studies.provenance import case_of, read_provenance
-from studies.report.wording import square_of
+from studies.provenance import Provenance, case_of, read_provenance
+from studies.report.wording import listed, square_of
 from studies.templates import environment
 
 
@@ -63,11 +63,13 @@ class CalibratedValues:
         case: The case.
         finished: The calibration.
         values: Calibrated parameters, then what the case holds under [fixed].
+        stale: What was changed since they were calibrated, in one line; "" for nothing.
     """
 
     case: Case
     finished: FinishedCalibration
     values: tuple[SetValue, ...]
+    stale: str = ""
 
     @property
     def about(self) -> dict[str, Any]:
@@ -109,6 +111,7 @@ def calibrated_values(project: Project, experiment: str | None = None) -> Calibr
     (finished,) = best
     made = read_provenance(finished.outcome.provenance, finished.name)
     case = case_of(project.paths, made, exactly=False)
+    stale = _stale(made, case, finished.changed_since)
     case, columns = of_experiment(case, experiment, needed_for="--write")
     space, fmu = case.parameter_space, case.fmu
     theta = np.array([*finished.found.theta.values()])[columns]
@@ -121,7 +124,20 @@ def calibrated_values(project: Project, experiment: str | None = None) -> Calibr
     ]
     fixed = ((fmu.variables[name], value) for name, value in case.fixed.items())
     values += [SetValue(variable, value, variable.unit, "fixed") for variable, value in fixed]
-    return CalibratedValues(case, finished, tuple(values))
+    return CalibratedValues(case, finished, tuple(values), stale)
+
+
+def _stale(made: Provenance, case: Case, changed_since: Sequence[str]) -> str:
+    """Say what was changed since a calibration, whether or not it would move the values."""
+    now = read_text(case.path, CASE)
+    before, after = (parse_toml(text, str(case.path)) for text in (made.case_text, now))
+    keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
+    inside = f" ({', '.join(keys)})" if keys else ""
+    changed = [f"{name}{inside}" if name == case.path.name else name for name in changed_since]
+    # Data outside the project are seen by what is compared alone.
+    if not changed and made.measurement_digest != case.measurement.digest:
+        changed = ["the measured values or their weights"]
+    return f"calibrated before {listed(changed)} changed; to calibrate anew: {made.command}" * bool(changed)
 
 
 # A quoted identifier, or what stands between two dots; an element of an array is neither.

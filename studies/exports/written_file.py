@@ -20,8 +20,9 @@ from studies.exports.calibrated_values import (
     calibrated_values,
 )
 from studies.paths import folder_name
-from studies.project import Project, best_by_label
+from studies.project import Project, best_by_label, changed_files
 from studies.provenance import FILE, case_of, read_provenance
+from studies.report.wording import listed
 from studies.stages.pipeline import read_json
 from studies.tracking.runs import load_surrogate, run_store
 
@@ -36,7 +37,9 @@ OF_VALUES: dict[str, Callable[[CalibratedValues], bytes]] = {
 FORMATS = (*OF_VALUES, "onnx")
 
 
-def write_best(project: Project, words: Sequence[str], n_train: int | None, experiment: str | None) -> Path:
+def write_best(
+    project: Project, words: Sequence[str], n_train: int | None, experiment: str | None
+) -> tuple[Path, str]:
     """Write the best calibration, or the best surrogate, to a new file.
 
     Args:
@@ -46,7 +49,7 @@ def write_best(project: Project, words: Sequence[str], n_train: int | None, expe
         experiment: Which experiment's values; None where the case has none.
 
     Returns:
-        The file.
+        The file, and what was changed since its content was made, in one line; "" for nothing.
 
     Raises:
         InputError: The format is unknown, the file exists, or there is nothing that can be written.
@@ -60,10 +63,10 @@ def write_best(project: Project, words: Sequence[str], n_train: int | None, expe
     if files:
         _refuse_existing(Path(files[0]))
     if kind == "onnx":
-        name, content = as_onnx(project, n_train)
+        name, content, stale = as_onnx(project, n_train)
     else:
         found = calibrated_values(project, experiment)
-        name, content = f"{found.case.name}-calibrated", OF_VALUES[kind](found)
+        name, content, stale = f"{found.case.name}-calibrated", OF_VALUES[kind](found), found.stale
     ending = "mo" if kind == "modelica" else kind
     file = Path(files[0] if files else f"{folder_name(name)}.{ending}")
     _refuse_existing(file)
@@ -74,7 +77,7 @@ def write_best(project: Project, words: Sequence[str], n_train: int | None, expe
         if error.errno == errno.ENOSPC:  # a fault of the machine
             raise
         raise InputError(f"{file}: cannot be written ({error.strerror}); name another file") from None
-    return file
+    return file, stale
 
 
 def _refuse_existing(file: Path) -> None:
@@ -82,8 +85,8 @@ def _refuse_existing(file: Path) -> None:
         raise InputError(f"{file} exists; name another file after the format, or remove it")
 
 
-def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes]:
-    """Return the name and the graph of the surrogate with the least validation error.
+def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
+    """Return the name and the graph of the surrogate of least validation error, and what was changed since.
 
     Args:
         project: What the project holds of a case.
@@ -130,4 +133,6 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes]:
         )
     except ModuleNotFoundError as error:
         raise InputError(f"ONNX needs {error.name}: pip install 'pelsvae-studies[onnx]'") from None
-    return spec.model_name, graph
+    changed = changed_files(project.paths, record)
+    stale = f"made before {listed(changed)} changed; to make it anew: {made.command}" * bool(changed)
+    return spec.model_name, graph, stale

@@ -56,6 +56,9 @@ def predict_stage(
     source = f"experiment {experiment}" if recording is None else recording.name
     named = "-".join(filter(None, (experiment, None if recording is None else recording.stem)))
     place = re.sub(r"[^\w.-]", "_", named)[:100]
+    if recording is not None:
+        # Recordings of one name differ in what they hold.
+        place += f"-{case.model_digest[:8]}"
     what = f"{count(len(theta), 'simulation')} with {source}"
     stage = Stage(study, f"predict-{calibration.name}-{place}", what, inputs, Prediction)
     table, picture = (stage.file.with_suffix(ending) for ending in (".csv", ".png"))

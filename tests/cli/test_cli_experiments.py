@@ -128,7 +128,9 @@ def test_check_examines_every_experiment(project: Path, studies: Run) -> None:
     found = studies("check", "wall", "--json").document["findings"]
 
     for name in ("first", "second", "last"):
-        assert any(one["what"] == f"{name}: every parameter moves an output" for one in found)
+        assert any(one["what"] == f"{name}: corners of the box" for one in found)
+    # One verdict over all of them.
+    assert sum(one["what"].endswith("every parameter moves an output") for one in found) == 1
 
 
 def test_one_experiment_alone_is_the_same_as_its_window(tmp_path: Path) -> None:

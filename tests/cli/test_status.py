@@ -12,7 +12,7 @@ from pathlib import Path
 import optuna
 import pytest
 from optuna.trial import TrialState
-from project_for_tests import REPOSITORY, Run, process_environment
+from project_for_tests import REPOSITORY, Run, add_case, edit, process_environment
 from studies_for_tests import (
     SPACE,
     WALL_S,
@@ -23,6 +23,7 @@ from studies_for_tests import (
 )
 
 from studies.calibration.ledger import Ledger
+from studies.provenance import file_digest
 
 OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 
@@ -163,6 +164,28 @@ def test_calibrations_without_a_surrogate_have_a_unit_and_each_case_its_best(
     lines = [line for line in studies("status").out.splitlines() if "/adaptive" in line]
     assert len(lines) == 4
     assert all(units[line.split()[0].split("-")[0]] in line for line in lines)
+
+
+def test_best_shows_results_of_unchanged_files_first_whatever_a_clock_says(
+    project: Path, studies: Run
+) -> None:
+    case = add_case(project)
+    write_calibration(project, "wall-quick", "adaptive", case=case, mse=0.05, finished="2026-01-02")
+    write_calibration(project, "wall-quick-0-9", "adaptive", case=case, mse=0.01, finished="2031-01-01")
+    manifest = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
+    place, sha256 = "fmus/wall/case.toml", file_digest(case)
+    edit(manifest, (f'"{place}": "{"1" * 64}"', f'"{place}": "{sha256}"'))
+    # A case whose result was made last, of a file that was changed since.
+    file = REPOSITORY / "fmus" / "vanderpol" / "case.toml"
+    write_calibration(project, "vanderpol-quick", "adaptive", case=file, mse=0.1, finished="2032-01-01")
+    found = studies("best", "--json").document["calibrations"]
+    assert [(one["name"], one["changed_since"]) for one in found] == [
+        ("wall-quick/adaptive", []),
+        ("vanderpol-quick/adaptive", ["case.toml"]),
+    ]
+    # Where none is unchanged, the one of the latest data.
+    case.write_text(case.read_text("utf-8") + "# another thought\n", "utf-8")
+    assert studies("best", "wall", "--json").document["calibrations"][0]["name"] == "wall-quick-0-9/adaptive"
 
 
 def test_status_loads_nothing_that_trains_or_simulates(project: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import re
 import shutil
 import sys
 import zipfile
@@ -17,6 +18,7 @@ from fmpy.validation import validate_fmu
 from mlflow_store_for_tests import give_store
 
 from simulation.case import Case, load_case
+from simulation.case_reading import read_experiments
 from simulation.fmi.description import read_description
 from simulation.fmi.variable import Value
 from studies.cli import main
@@ -199,6 +201,40 @@ def test_a_changed_case_is_refused(
     assert load_case(file).digest != found.case.digest
     assert main(["best", "--write", "ssv"]) == 2
     assert "changed since 'studies calibrate" in capsys.readouterr().err
+
+
+def test_what_was_changed_since_is_said_on_the_terminal(
+    project: Path, found: CalibratedValues, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    copy = tmp_path / "copy"
+    shutil.copytree(project, copy)
+    monkeypatch.setenv("STUDIES_ROOT", str(copy))
+    file = copy / "fmus" / found.case.name / "case.toml"
+    written("csv")
+    assert "calibrated before" not in capsys.readouterr().err
+    text = file.read_text("utf-8")
+    before, begin, rest = text.partition("uncertainty = ")
+    weighted = f"{before}weight = 2.0\n{begin}{rest}"
+    shorter = re.sub(
+        r"(?<=^window_d = \[)([\d.]+), ([\d.]+)(?=\])",
+        lambda found: f"{found[1]}, {float(found[2]) - 0.125}",
+        text,
+        count=1,
+        flags=re.MULTILINE,
+    )
+    for new, keys in ((weighted, "outputs"), (shorter, "time")):
+        assert new != text
+        file.write_text(new, "utf-8")
+        assert main(["best", "--write", "csv", f"{keys}.csv", "-q"]) == 0
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"{keys}.csv: calibrated before case.toml ({keys}) changed; to calibrate anew: studies" in line
+    file.write_text(text, "utf-8")
+    (source,) = {output.file for one in read_experiments(file) for output in one.file.outputs}
+    recording = file.parent / read_experiments(file)[0].file.data / str(source)
+    recording.write_text(recording.read_text("utf-8") + "\n", "utf-8")
+    assert main(["best", "--write", "csv", "data.csv", "-q"]) == 0
+    assert f"calibrated before {recording.name} changed" in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_is_refused_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:

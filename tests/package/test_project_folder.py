@@ -81,6 +81,33 @@ def test_a_case_of_the_project_comes_before_an_embedded_one(folder: Path) -> Non
     assert find_case(paths, "wall") == own
 
 
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("wall", "wall/case.toml"),
+        ("office-whitebox-recorded", "office-whitebox-metered/office-whitebox-recorded.toml"),
+    ],
+)
+def test_a_deleted_case_file_is_not_replaced_by_an_embedded_one(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, place: str
+) -> None:
+    paths, own = ProjectPaths(folder), folder / "fmus" / place
+    assert paths.located(f"fmus/{place}") == find_case(paths, name)
+    own.parent.mkdir(parents=True)
+    (own.parent / "Own.fmu").touch()
+    assert main(["calibrate", name]) == 2
+    said = capsys.readouterr().err
+    assert f"fmus/{place} is missing from the folder of this case; restore it" in said
+    assert said.count("\n") == 1
+    assert paths.located(f"fmus/{place}") is None
+    # Other embedded cases stay, and data of this one beside what its simulations left.
+    assert find_case(paths, "vanderpol").is_file()
+    assert paths.located("data/wall/inputs.csv") is not None
+    (own.parent / "Own.fmu").unlink()
+    own.parent.rmdir()
+    assert find_case(paths, name).is_file()
+
+
 def test_another_machine_gets_one_line_with_what_is_missing(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

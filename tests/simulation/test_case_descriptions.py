@@ -67,6 +67,36 @@ def test_a_state_whose_start_is_computed_is_no_parameter(decay_case: Path):
         load_case(decay_case)
 
 
+NO_UNIT = (X0, X0.replace(b' unit="K"', b""))
+Y_WITHOUT_UNIT = (b'<Real unit="K"/>', b"<Real/>")
+
+
+@pytest.mark.parametrize(("said", "changed"), [("", []), ('\nfmu_unit = "K"', [Y_WITHOUT_UNIT])])
+def test_a_first_measured_value_gets_the_output_s_unit_where_the_parameter_has_none(
+    decay_case: Path, said: str, changed: list[tuple[bytes, bytes]]
+):
+    with_units = load_case(decay_case).fixed["x0"]
+    describe(decay_case, NO_UNIT, *changed)
+    edit(decay_case, ('unit = "degC"', f'unit = "degC"{said}'))
+    assert load_case(decay_case).fixed["x0"] == with_units > 273.15
+
+
+@pytest.mark.parametrize(
+    ("fixed", "remedy"),
+    [
+        ('{ first_measured = "y" }', r"none for y; say in outputs\[y\] .* as fmu_unit, or give a number"),
+        ('{ value = 20.0, unit = "degC" }', r"so 20 degC cannot be converted; give the number alone"),
+    ],
+)
+def test_a_value_whose_unit_the_fmu_does_not_say_is_refused(decay_case: Path, fixed: str, remedy: str):
+    describe(decay_case, NO_UNIT, Y_WITHOUT_UNIT)
+    edit(decay_case, ('{ first_measured = "y" }', fixed))
+    with pytest.raises(InputError, match=rf"fixed\.x0: the FMU declares no unit for x0.* {remedy}"):
+        load_case(decay_case)
+    edit(decay_case, (f"x0 = {fixed}", "x0 = 293.15"))
+    assert load_case(decay_case).fixed["x0"] == 293.15
+
+
 def test_the_fmu_s_display_units_are_units(decay_case: Path):
     plain = load_case(decay_case)
     describe(decay_case, (b'<UnitDefinitions><Unit name="K"/><Unit name="1/s"/><Unit name="K/s"/>', UNITS))

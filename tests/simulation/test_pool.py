@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import psutil
@@ -151,6 +152,17 @@ def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
         assert re.match(
             r"did not answer within .* s and was stopped \(no \[simulation\] timeout_s is", reason
         )
+
+
+def test_rows_that_run_when_the_time_is_over_are_ended():
+    rows = rows_of(20, 1)
+    with PoolModel(HangingToy().open, 2) as model:
+        chunks = [numbers for numbers, _ in model.as_finished(rows, until=monotonic() + 1.0)]
+        # The bad row would never end.
+        assert np.concatenate(chunks).size < 20
+        assert not list(model.as_finished(rows, until=monotonic()))
+        # It can be asked again.
+        assert not model.simulate(rows[rows[:, 0] <= BAD_ABOVE_R]).failed.any()
 
 
 def test_a_forgotten_model_leaves_no_process():

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +73,28 @@ def test_other_inputs_give_other_outputs(here: Path, capsys: pytest.CaptureFixtu
     warmer = [f"{t},{room},{float(out) + 5.0}" for t, room, out in (one.split(",") for one in lines[1:97])]
     Path("warm & dry.csv").write_text("\n".join([lines[0], *warmer]) + "\n", encoding="utf-8")
     stage = predicted(capsys, "--inputs", "warm & dry.csv")
-    assert Path(stage["table"]).name == "predict-adaptive-warm___dry.csv"
+    assert re.fullmatch(r"predict-adaptive-warm___dry-[0-9a-f]{8}\.csv", Path(stage["table"]).name)
     cold, warm = table_of(predicted(capsys, "--inputs", str(INPUTS))), table_of(stage)
     assert len(warm["time_s"]) == 95 * 3 + 1
     assert warm["TMasonry"][-1] > cold["TMasonry"][len(warm["time_s"]) - 1] + 0.5
+
+
+def test_recordings_of_one_name_have_a_prediction_each(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = INPUTS.read_text("utf-8").splitlines()[:97]
+    for folder, rows in (("first", lines), ("second", lines[:49])):
+        Path(folder).mkdir()
+        Path(folder, "next.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    stages = [predicted(capsys, "--inputs", f"{folder}/next.csv") for folder in ("first", "second")]
+    tables = [table_of(one) for one in stages]
+    assert [len(one["time_s"]) for one in tables] == [95 * 3 + 1, 47 * 3 + 1]
+    assert predicted(capsys, "--inputs", "first/next.csv")["finished_before"]
+    # One file with another content in its place, as of a forecast that comes every day.
+    Path("first/next.csv").write_text("\n".join(lines[:73]) + "\n", encoding="utf-8")
+    stages.append(predicted(capsys, "--inputs", "first/next.csv"))
+    assert len({one["table"] for one in stages}) == len({one["file"] for one in stages}) == 3
+    assert [len(table_of(one)["time_s"]) for one in stages] == [95 * 3 + 1, 47 * 3 + 1, 71 * 3 + 1]
 
 
 def test_without_an_uncertainty_there_are_no_bands(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
