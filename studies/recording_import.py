@@ -101,7 +101,6 @@ def import_recording(source: Path, folder: Path) -> ImportReport:
     duration_d = min(float(columns["time_s"][-1]) for columns in tables.values()) / DAY_S
     if duration_d < MIN_DURATION_D:
         raise InputError(f"{name} covers {duration_d:.2f} days; at least 10 days are needed")
-    folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as begun:  # all files or none
         for place, columns in tables.items():
             _write(begun.enter_context(whole_file(place)), columns)

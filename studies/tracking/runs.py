@@ -22,8 +22,10 @@ from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from simulation.pool.safe_start import environment_restored
+from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.report.wording import difference_unit
+from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow
 from studies.tuning.declaration import ALIAS, Declaration
@@ -38,8 +40,6 @@ Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
 NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 CURVE = "curve/"
-SCHEME = "studies-project"
-"""Of artifacts that lie in the project, see `studies.tracking.artifacts`."""
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
 
@@ -50,17 +50,21 @@ class RunStore:
         paths: the project.
 
     Raises:
-        InputError: MLflow cannot use the store.
+        InputError: MLflow cannot use the store, or it names places outside the project.
         MachineError: the store does not answer, or its disk is full.
     """
 
     def __init__(self, paths: ProjectPaths) -> None:
         self._paths = paths
+        check_written(paths.artifacts)
         self._artifacts = paths.artifacts.resolve()
         self._artifacts.mkdir(parents=True, exist_ok=True)
         with opening(paths, "MLflow", paths.tracking_database):
-            if paths.storage is None and not paths.tracking_database.is_file():
-                make_database(paths.tracking_database)
+            if paths.storage is None:
+                if paths.tracking_database.is_file():
+                    check_store(paths.tracking_database)
+                else:
+                    make_database(paths.tracking_database)
             self.client = connect(paths.tracking_uri)
         self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
