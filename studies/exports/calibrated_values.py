@@ -19,7 +19,7 @@ import numpy as np
 from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
-from simulation.foreign_file import FMU, check_members, read_limited
+from simulation.foreign_file import FMU, archive_errors, check_members, read_limited
 from simulation.foreign_text import quoted, shortened
 from simulation.units import in_si
 from studies.project import FinishedCalibration, Project, best_calibrations
@@ -232,23 +232,20 @@ def as_fmu(found: CalibratedValues) -> bytes:
         InputError: The FMU is gone or damaged.
     """
     path, packed = found.case.fmu.path, io.BytesIO()
-    try:
-        with (
-            zipfile.ZipFile(io.BytesIO(read_limited(path, FMU))) as old,
-            zipfile.ZipFile(packed, "w") as new,
-        ):
-            check_members(old.infolist(), str(path))
-            for member in old.infolist():
-                content = old.read(member)
-                if member.filename == DESCRIPTION:
-                    content = _with_start_values(content, found)
-                kept = zipfile.ZipInfo(member.filename, member.date_time)
-                kept.compress_type, kept.create_system = member.compress_type, member.create_system
-                kept.external_attr = member.external_attr  # which of them are programs
-                new.writestr(kept, content)
-    # RuntimeError: a member is encrypted.
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
-        raise InputError(f"{path}: cannot be unpacked ({error}); export it again") from None
+    with (
+        archive_errors(path),
+        zipfile.ZipFile(io.BytesIO(read_limited(path, FMU))) as old,
+        zipfile.ZipFile(packed, "w") as new,
+    ):
+        check_members(old.infolist(), str(path))
+        for member in old.infolist():
+            content = old.read(member)
+            if member.filename == DESCRIPTION:
+                content = _with_start_values(content, found)
+            kept = zipfile.ZipInfo(member.filename, member.date_time)
+            kept.compress_type, kept.create_system = member.compress_type, member.create_system
+            kept.external_attr = member.external_attr  # which of them are programs
+            new.writestr(kept, content)
     return packed.getvalue()
 
 
