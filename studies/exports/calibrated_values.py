@@ -20,7 +20,7 @@ from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_file import FMU, archive_errors, check_members, read_limited
-from simulation.foreign_text import quoted, shortened
+from simulation.foreign_text import not_a_formula, quoted, shortened
 from simulation.units import in_si
 from studies.project import FinishedCalibration, Project, best_calibrations
 from studies.provenance import case_of, read_provenance
@@ -144,10 +144,13 @@ def as_json(found: CalibratedValues) -> bytes:
 def as_csv(found: CalibratedValues) -> bytes:
     """Return a table of name, value, unit and origin; what made them stands in a comment before it."""
     text = io.StringIO()
-    text.write(f"# {found.sentence}\n")
+    # A spreadsheet takes each part between commas for a cell.
+    text.write(f"# {','.join(map(not_a_formula, found.sentence.split(',')))}\n")
     table = csv.writer(text, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
     table.writerow(COLUMNS)
-    table.writerows([getattr(one, name) for name in COLUMNS] for one in found.values)
+    for one in found.values:
+        cells = (getattr(one, name) for name in COLUMNS)
+        table.writerow([not_a_formula(cell) if isinstance(cell, str) else cell for cell in cells])
     return text.getvalue().encode()
 
 

@@ -3,6 +3,7 @@
 import functools
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -23,6 +24,8 @@ WITH_ARRAYS = ConfigDict(arbitrary_types_allowed=True)
 Error = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value)]
 """A number that is infinite where a simulation failed; JSON has null there."""
 T = TypeVar("T")
+# What may be half a character: JSON escapes one beyond the first 65,536 as two.
+_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 # To make one takes longer than to read with it.
 _reader = cast("Callable[[type], TypeAdapter[Any]]", functools.cache(TypeAdapter))
 
@@ -63,11 +66,22 @@ def rebuilt(
 
 
 def read_json(file: Path) -> dict[str, Any] | None:
-    """Return a JSON object, or None where there is no readable one."""
+    """Return a JSON object, or None where there is no readable one.
+
+    Raises:
+        InputError: a text in it has half a character, which no terminal, file or database takes.
+    """
     try:
-        content = json.loads(read_limited(file, RECORD))
+        text = read_limited(file, RECORD)
+        content = json.loads(text)
     except (ValueError, RecursionError):
         return None
+    if _SURROGATE.search(text):
+        try:
+            json.dumps(content, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:
+            half = ascii(error.object[error.start])
+            raise InputError(f"{file}: {half} is half a character; move the file away") from None
     return content if isinstance(content, dict) else None
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from project_for_tests import Run, copy_of, edit
 
-from simulation.foreign_text import MOST_QUOTED, escaped, quoted
+from simulation.foreign_text import MOST_QUOTED, escaped, not_a_formula, quoted
 from studies.console import Column, Console, Table
 
 CLEAR = "\x1b[2J\x1b]0;title\x07"
@@ -81,3 +82,21 @@ def test_a_note_shows_no_picture(tmp_path: Path, picture: str) -> None:
         assert note.startswith("3 rows ")
         assert "![" not in note
         assert "<" not in note
+
+
+@pytest.mark.parametrize("text", ["=1+1", " =1+1", "+1", "-x", "@sum", "\t=1"])
+def test_no_text_is_a_formula(text: str) -> None:
+    assert not_a_formula(text) == f"'{text}"
+    assert not_a_formula(f"a{text}") == f"a{text}"
+    assert not_a_formula("") == ""
+
+
+def test_half_a_character_in_a_record_is_one_line(
+    hasty_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    root = copy_of(hasty_wall, tmp_path / "project", monkeypatch)
+    edit(root / "mlruns/results/wall-quick/calibrate-adaptive.json", ('"TMasonry"', r'"\ud800\udc00 \udfff"'))
+    for command in (("status",), ("best",), ("report", "wall"), ("uncertainty", "wall")):
+        answer = studies(*command)
+        assert (answer.code, len(answer.err.splitlines())) == (2, 1), answer.err
+        assert r"calibrate-adaptive.json: '\udfff' is half a character" in answer.err

@@ -179,3 +179,15 @@ def test_a_doctored_store_is_refused(
         assert DOCTORED[statement] in answer.err
         assert "mlflow.db" in answer.err
     assert not [*outside.iterdir()]
+
+
+def test_a_store_of_artifacts_that_refuses_is_one_line(
+    calibrated: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    monkeypatch.setenv(FOLLOW_VARIABLE, "1")
+    with closing(sqlite3.connect(calibrated / "mlruns" / "mlflow.db")) as store, store:
+        store.execute("update experiments set artifact_location = 'nowhere://x/'")
+    answer = studies(*REPORT)
+    assert (answer.code, len(answer.err.splitlines())) == (1, 1), answer.err
+    assert "cannot be stored" in answer.err
+    assert "nowhere://x" in answer.err
