@@ -41,7 +41,7 @@ def check_written(path: Path) -> None:
         path: A file or folder that is written or made next.
 
     Raises:
-        InputError: If it lies elsewhere, and the user does not allow that.
+        InputError: If it leads out, and the user does not allow that.
     """
     # A path with ".." is named for the folder in which it seems to lie.
     named, real = Path(os.path.normpath(Path(path).absolute())), _real(path)
@@ -59,7 +59,7 @@ def check_database(file: Path) -> None:
     """Refuse the path of an SQLite database as `check_written` does, with all that SQLite writes beside it.
 
     Raises:
-        InputError: If one of them lies elsewhere, and the user does not allow that; or if its journal names
+        InputError: If one of them leads out, and the user does not allow that; or if its journal names
             another file, which SQLite would delete.
     """
     for ending in _BESIDE_DATABASE:

@@ -39,12 +39,12 @@ class ProjectArtifacts(LocalArtifactRepository):
         super().__init__(place.as_uri(), tracking_uri, registry_uri)
 
     def log_artifact(self, *arguments: Any, **options: Any) -> None:
-        """Copy a file among the artifacts; no link there leads it elsewhere."""
+        """Copy a file among the artifacts; no link there leads it out of the project."""
         self._check_links()
         super().log_artifact(*arguments, **options)
 
     def log_artifacts(self, *arguments: Any, **options: Any) -> None:
-        """Copy the files of a folder among the artifacts; no link there leads them elsewhere."""
+        """Copy the files of a folder among the artifacts; no link there leads them out of it."""
         self._check_links()
         super().log_artifacts(*arguments, **options)
 

@@ -16,7 +16,7 @@ SCHEME = "studies-project"
 _PATIENCE_S = 60.0  # for another process that writes; it does so in milliseconds
 
 
-def _elsewhere(table: str, column: str, more: str = "") -> str:
+def _outside(table: str, column: str, more: str = "") -> str:
     """Return the query for a place of a table that is not the project's."""
     return f"select {column} from {table} where {column} not like '{SCHEME}:/%' {more} limit 1"
 
@@ -27,18 +27,18 @@ _PLACES = (
     (
         "experiments",
         "an experiment",
-        _elsewhere(
+        _outside(
             "experiments", "artifact_location", "and (name <> 'Default' or artifact_location like '%://%')"
         ),
     ),
-    ("runs", "a run", _elsewhere("runs", "artifact_uri")),
-    ("logged_models", "a model", _elsewhere("logged_models", "artifact_location")),
+    ("runs", "a run", _outside("runs", "artifact_uri")),
+    ("logged_models", "a model", _outside("logged_models", "artifact_location")),
     (
         "model_versions",
         "a model version",
-        _elsewhere("model_versions", "source", "and source not like 'models:/%'"),
+        _outside("model_versions", "source", "and source not like 'models:/%'"),
     ),
-    ("model_versions", "a model version", _elsewhere("model_versions", "storage_location")),
+    ("model_versions", "a model version", _outside("model_versions", "storage_location")),
     ("webhooks", "a webhook", "select url from webhooks limit 1"),
 )
 # Statements that SQLite runs on its own. MLflow makes one trigger, which protects its secrets.
@@ -46,7 +46,7 @@ _STATEMENTS = "select name from sqlite_master where type in ('trigger', 'view') 
 
 
 def check_store(file: Path) -> None:
-    """Refuse a store whose artifacts lie elsewhere than in the project; the user may allow that.
+    """Refuse a store whose artifacts lie outside the project; the user may allow that.
 
     Args:
         file: An SQLite file of MLflow.

@@ -126,11 +126,11 @@ def test_links_within_a_project_and_to_it_are_followed(
 
 
 def test_what_the_user_names_may_lie_anywhere(calibrated: Path, tmp_path: Path, studies: Run) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "link").symlink_to("elsewhere")
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "link").symlink_to("outside")
     for place in (str(tmp_path / "link" / "a.ssv"), "../link/b.ssv"):
         assert studies("best", "wall", "--write", "ssv", place).code == 0
-    assert {one.name for one in (tmp_path / "elsewhere").iterdir()} == {"a.ssv", "b.ssv"}
+    assert {one.name for one in (tmp_path / "outside").iterdir()} == {"a.ssv", "b.ssv"}
 
 
 def test_a_way_back_over_a_link_is_one_out_of_the_project(tmp_path: Path) -> None:
