@@ -49,7 +49,7 @@ class ProjectArtifacts(LocalArtifactRepository):
         super().log_artifacts(*arguments, **options)
 
     def _check_links(self) -> None:
-        # A run has a few files: looking at all of them is simpler than to know MLflow's names of new ones.
+        # A run has a few files: to check all of them is simpler than to know MLflow's names of new ones.
         place = Path(self.artifact_dir)
         for one in (place, *place.rglob("*")):
             check_written(one)
