@@ -1,5 +1,6 @@
 """Texts of strangers on the terminal: nothing in them is obeyed, and what messages quote of them is short."""
 
+import json
 import unicodedata
 from pathlib import Path
 
@@ -100,3 +101,21 @@ def test_half_a_character_in_a_record_is_one_line(
         answer = studies(*command)
         assert (answer.code, len(answer.err.splitlines())) == (2, 1), answer.err
         assert r"calibrate-adaptive.json: '\udfff' is half a character" in answer.err
+
+
+def test_a_damaged_record_is_named_until_it_is_removed(
+    hasty_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    root = copy_of(hasty_wall, tmp_path / "project", monkeypatch)
+    record = root / "mlruns/results/wall-quick/calibrate-adaptive.json"
+    whole = json.loads(record.read_text())
+    edit(record, ('"n_failed": 0', '"n_failed": 1'))
+    calibrate = ("calibrate", "wall", "--max-calls", "8", "--jobs", "1", "-q")
+    for command in (("status",), ("best",), ("report", "wall"), calibrate):
+        answer = studies(*command)
+        assert (answer.code, len(answer.err.splitlines())) == (2, 1), answer.err
+        assert "calibrate-adaptive.json is damaged; remove it and repeat its command" in answer.err
+    record.unlink()
+    assert studies(*calibrate).code == 0
+    assert json.loads(record.read_text())["result"]["mse"] == whole["result"]["mse"]
+    assert studies("status").code == 0
