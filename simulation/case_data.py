@@ -14,6 +14,7 @@ from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
 from simulation.time_unit import HOURS
 from simulation.timestamps import zero_of, zone_named
+from simulation.write_gate import follows_links
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
@@ -124,11 +125,24 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
     """
     folder = path.parent / file.data
     measured = list(filter(None, (output.source for output in file.outputs)))
-    return read_columns(file, measured, lambda name: Path(os.path.realpath(folder / name)), file.data_origin)
+    own = Path(os.path.realpath(path)).parent
+    # A project has its cases in fmus/ and their recordings beside that.
+    own = own.parents[1] if own.parent.name == "fmus" else own
+    return read_columns(
+        file,
+        measured,
+        lambda name: Path(os.path.realpath(folder / name)),
+        file.data_origin,
+        lambda place: place.is_relative_to(own) or follows_links(),
+    )
 
 
 def read_columns(
-    file: CaseFile, measured: list[tuple[str, str]], place_of: Callable[[str], Path], if_missing: str = ""
+    file: CaseFile,
+    measured: list[tuple[str, str]],
+    place_of: Callable[[str], Path],
+    if_missing: str = "",
+    is_quoted: Callable[[Path], bool] = lambda place: True,
 ) -> dict[str, Recording]:
     """Read the recordings of a case's inputs and others, as it says how their times are written.
 
@@ -137,6 +151,7 @@ def read_columns(
         measured: Recording and column of what else is read, by their names in the case file.
         place_of: Where a recording of some name lies.
         if_missing: What to do where there is no such file; "" for the general advice.
+        is_quoted: Whether messages may quote what a file holds: a case may name any file of the user.
 
     Raises:
         InputError: If one cannot be read.
@@ -153,6 +168,7 @@ def read_columns(
             time_column=file.time_column,
             timezone=file.timezone,
             if_missing=if_missing,
+            is_quoted=is_quoted(place_of(name)),
         )
         for name, wanted in columns.items()
     }

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from simulation.errors import MachineError
+from simulation.write_gate import check_written
 
 # What systems report of a lock that another process holds.
 _HELD = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
@@ -20,9 +21,13 @@ class FileLock:
 
     Args:
         file: the file to lock; created empty where absent, never removed.
+
+    Raises:
+        InputError: a link leads it out of the project.
     """
 
     def __init__(self, file: Path) -> None:
+        check_written(file)
         self._file = file
         self._descriptor: int | None = None
 

@@ -3,14 +3,19 @@
 Whatever reads such a file gets its bytes, text, table or archive from here, and need not look again.
 """
 
+import errno
 import io
+import lzma
 import math
 import os
 import re
 import stat
+import struct
 import tomllib
 import zipfile
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +29,18 @@ _MB = 1_000_000
 # tomllib needs quadratic time for dotted keys; no real file nests tables so deeply.
 _DEEPEST = 64
 _DOTTED = re.compile(rf"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST},}}+")
+# What zipfile raises on a member that is damaged, cut off, encrypted or of unknown compression, or lies.
+_DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, RuntimeError, ValueError)
+# Names of members that are too long, or at once a file and a folder, also come as errors of the system.
+_OF_ARCHIVE = {
+    None,  # bytes that are no bzip2
+    errno.EINVAL,
+    errno.ENAMETOOLONG,
+    errno.EEXIST,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.ENOTEMPTY,
+}
 # By the letter that `ls -l` writes for it.
 _KINDS = {"d": "a folder", "p": "a pipe", "s": "a socket", "c": "a device", "b": "a device"}
 
@@ -163,6 +180,26 @@ def check_members(members: Sequence[zipfile.ZipInfo], where: str) -> None:
     """
     MEMBERS.check(len(members), where)
     UNPACKED.check(sum(member.file_size for member in members) / _MB, where)
+
+
+@contextmanager
+def archive_errors(path: Path) -> Iterator[None]:
+    """Turn what reading or unpacking an archive raises into one line, where the archive is at fault.
+
+    Args:
+        path: The archive, for the message.
+
+    Raises:
+        InputError: If a member is damaged, or is not what the archive says.
+        OSError: If the machine is in the way.
+    """
+    try:
+        yield
+    except (InputError, *_DAMAGED, OSError) as error:
+        if isinstance(error, InputError) or (isinstance(error, OSError) and error.errno not in _OF_ARCHIVE):
+            raise
+        said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise InputError(f"{path}: cannot be unpacked ({shortened(said)}); export it again") from None
 
 
 def _check_kind(path: Path, found: os.stat_result, limit: Limit) -> None:

@@ -45,6 +45,11 @@ def shortened(text: str, most: int = MOST_QUOTED) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def not_a_formula(text: str) -> str:
+    """Return a text for a cell of CSV, with an apostrophe before what a spreadsheet would compute."""
+    return f"'{text}" if text.lstrip()[:1] in ("=", "+", "-", "@") else text
+
+
 def without_pictures(markdown: str) -> str:
     """Return a note in Markdown without pictures and HTML, which a browser would fetch from others."""
     return markdown.replace("![", "!\\[").replace("<", "&lt;")

@@ -5,7 +5,8 @@ import io
 import math
 import re
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from simulation.foreign_file import RECORDING, read_limited
 from simulation.foreign_text import quoted, shortened
 from simulation.time_unit import UNITS
 from simulation.timestamps import Clock, read_timestamps, zone_named
+from simulation.write_gate import FOLLOW_VARIABLE
 
 TIME_COLUMN = "time_s"
 STAMP_COLUMN = "time"
@@ -76,6 +78,7 @@ def read_recording(
     time_column: str | None = None,
     timezone: str | None = None,
     if_missing: str = "",
+    is_quoted: bool = True,
 ) -> Recording:
     """Read columns of a CSV file with a header line.
 
@@ -90,6 +93,7 @@ def read_recording(
         timezone: Where the clock of timestamps without an offset hangs, e.g. "Europe/Berlin"; None for a
             clock that is never set forward or back.
         if_missing: What to do where there is no such file; "" for the general advice.
+        is_quoted: Whether a message may quote what the file holds.
 
     Returns:
         The series.
@@ -100,7 +104,7 @@ def read_recording(
     needed = shortened(", ".join([time_column or TIME_COLUMN, *column_names]))
     remedy = if_missing or "put the recording there or correct `data` and `file`"
     content = read_limited(path, RECORDING, if_missing=f"it needs the columns {needed}; {remedy}")
-    with errors_at(path):
+    with errors_at(path) if is_quoted else _unquoted(path, needed):
         rows, delimiter = _rows(content)
         # An umlaut may be one character or two.
         header = [_composed(cell) for cell in rows[0]]
@@ -126,6 +130,18 @@ def read_recording(
     return Recording(path, time, columns, clock, time_name)
 
 
+@contextmanager
+def _unquoted(path: Path, needed: str) -> Iterator[None]:
+    """Say of any fault of the block no more than that the file is not such a table."""
+    try:
+        yield
+    except InputError:
+        raise InputError(
+            f"{path}: is no table with the columns {needed}. It lies outside the project of its case, "
+            f"so nothing of it is quoted: copy it there, or set {FOLLOW_VARIABLE}=1, to read what is wrong"
+        ) from None
+
+
 def _place(row: int, column: str) -> str:
     return f"line {row + FIRST_LINE}, column {column}"
 
@@ -142,15 +158,31 @@ def _rows(content: bytes) -> tuple[list[list[str]], str]:
         bare = re.sub('"[^"]*"', "", first)
         delimiter = next((sign for sign in ";\t" if sign in bare), ",")
         lines = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        rows = [[cell.strip() for cell in line] for line in lines]
+        rows = _without_blanks(lines)
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"not a readable CSV file ({error}); give a comma-separated text file") from None
     if not rows or not any(rows[0]):
         raise InputError("the file is empty; the first line names the columns")
-    # A blank line at the end is no row; anywhere else its time is missing.
-    while not any(rows[-1]):
-        rows.pop()
     return rows, delimiter
+
+
+def _without_blanks(lines: Iterable[list[str]]) -> list[list[str]]:
+    """Return the cells of all lines up to the last, or up to a blank one between others, which is a fault.
+
+    A blank line at the end is no row; anywhere else its time is missing, so that no line after it is needed.
+    A file may hold blank lines by the million.
+    """
+    rows: list[list[str]] = []
+    blank: list[str] | None = None
+    for line in lines:
+        cells = [cell.strip() for cell in line]
+        if not any(cells):
+            blank = cells if blank is None else blank
+        elif blank is None:
+            rows.append(cells)
+        else:
+            return [*rows, blank]
+    return rows
 
 
 def _composed(name: str) -> str:

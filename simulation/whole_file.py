@@ -9,6 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from simulation.write_gate import check_written
+
 
 @contextmanager
 def whole_file(path: Path, *, synced: bool = False) -> Iterator[BinaryIO]:
@@ -23,7 +25,11 @@ def whole_file(path: Path, *, synced: bool = False) -> Iterator[BinaryIO]:
 
     Yields:
         The file, open for writing bytes.
+
+    Raises:
+        InputError: If a link leads it out of the project.
     """
+    check_written(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_left(path)
     file, partial = _begin(path)

@@ -243,6 +243,7 @@ _REMEDIES = {
     errno.EMFILE: "raise the limit of open files (ulimit -n)",
     errno.ENFILE: "raise the limit of open files (ulimit -n)",
     errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ELOOP: "remove the link that leads back to itself",
 }
 
 
@@ -250,12 +251,23 @@ def check_surroundings() -> None:
     """Refuse to begin where every command would fail somewhere deep inside.
 
     Raises:
-        MachineError: the working folder was deleted.
+        MachineError: the working folder was deleted, names of files are not read as UTF-8, or Linux shows no
+            processes.
     """
     try:
         Path.cwd()
     except OSError:
         raise MachineError("the working folder was deleted; go to another folder (cd)") from None
+    encoding, words = sys.getfilesystemencoding(), [str(Path.cwd()), *sys.argv]
+    if encoding != "utf-8" and not all(word.isascii() for word in words):
+        raise MachineError(
+            f"this Python takes names of files for {encoding}, and one here has other letters than A to Z; "
+            "set LC_ALL=C.UTF-8, or PYTHONUTF8=1"
+        )
+    if sys.platform == "linux" and not Path("/proc/self").exists():
+        raise MachineError(
+            "there is no /proc, by which processes are known; mount it: mount -t proc proc /proc"
+        )
 
 
 def explain(error: BaseException) -> str | None:

@@ -4,9 +4,10 @@ The wheel holds them in `studies/cases`. A checkout has them in its own `fmus` a
 """
 
 import os
-import shutil
 import tomllib
 from pathlib import Path
+
+from simulation.whole_file import whole_file
 
 _PACKAGE = Path(__file__).resolve().parent
 EMBEDDED = _PACKAGE / "cases" if (_PACKAGE / "cases").is_dir() else _PACKAGE.parent
@@ -62,7 +63,7 @@ def adopt_cases(root: Path, data: str) -> list[Path]:
         for source in ((file.parent / declared["fmu"]).resolve(), file):
             target = root / source.relative_to(EMBEDDED)
             if source.is_file() and not target.exists():
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(source, target)
+                with whole_file(target) as stream:
+                    stream.write(source.read_bytes())
                 adopted += [target] if source == file else []
     return adopted

@@ -11,6 +11,7 @@ from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import has_control, quoted, shortened
 from simulation.whole_file import whole_file
+from simulation.write_gate import check_database, guard_project
 from studies.console import Console
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
@@ -31,6 +32,10 @@ class ProjectPaths:
 
     root: Path
     storage: str | None = None
+
+    def __post_init__(self) -> None:
+        # Whoever names a project writes in it: no link leads out of it from now on.
+        guard_project(self.root)
 
     @property
     def fmus(self) -> Path:
@@ -231,9 +236,11 @@ def opening(paths: ProjectPaths, program: str, file: Path) -> Iterator[None]:
         file: its database where no server holds it.
 
     Raises:
-        InputError: the program refuses.
+        InputError: the program refuses, or a link leads the database out of the project.
         MachineError: the database cannot be reached or written.
     """
+    if paths.storage is None:
+        check_database(file)
     try:
         # Processes that make the tables at the same moment would get in each other's way.
         with FileLock(paths.mlruns / f".{program.lower()}.lock"):

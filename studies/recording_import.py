@@ -13,7 +13,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.foreign_file import FMU, RECORDING, UNPACKED, check_members, read_limited
+from simulation.foreign_file import FMU, RECORDING, UNPACKED, archive_errors, check_members, read_limited
 from simulation.foreign_text import shortened
 from simulation.recording import read_recording
 from simulation.whole_file import whole_file
@@ -101,7 +101,6 @@ def import_recording(source: Path, folder: Path) -> ImportReport:
     duration_d = min(float(columns["time_s"][-1]) for columns in tables.values()) / DAY_S
     if duration_d < MIN_DURATION_D:
         raise InputError(f"{name} covers {duration_d:.2f} days; at least 10 days are needed")
-    folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as begun:  # all files or none
         for place, columns in tables.items():
             _write(begun.enter_context(whole_file(place)), columns)
@@ -121,18 +120,15 @@ def _read(source: Path) -> tuple[Series, str]:
         return series, str(source)
     if not zipfile.is_zipfile(source):
         return _read_matlab(read_limited(source, RECORDING), str(source)), str(source)
-    try:
-        with zipfile.ZipFile(io.BytesIO(read_limited(source, FMU))) as archive:
-            check_members(archive.infolist(), str(source))
-            inside = [name for name in archive.namelist() if Path(name).name == MATLAB_FILE]
-            if not inside:
-                raise InputError(
-                    f"{source} holds no {MATLAB_FILE}; this is not the authors' FMU with the recording"
-                )
-            name = f"{source} ({inside[0]})"
-            return _read_matlab(archive.read(inside[0]), name), name
-    except zipfile.BadZipFile:
-        raise InputError(f"{source} is a damaged archive; download it again") from None
+    with archive_errors(source), zipfile.ZipFile(io.BytesIO(read_limited(source, FMU))) as archive:
+        check_members(archive.infolist(), str(source))
+        inside = [name for name in archive.namelist() if Path(name).name == MATLAB_FILE]
+        if not inside:
+            raise InputError(
+                f"{source} holds no {MATLAB_FILE}; this is not the authors' FMU with the recording"
+            )
+        name = f"{source} ({inside[0]})"
+        return _read_matlab(archive.read(inside[0]), name), name
 
 
 def _read_matlab(content: bytes, source: str) -> Series:

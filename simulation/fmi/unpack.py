@@ -2,16 +2,14 @@
 
 import stat
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 
 from simulation.errors import InputError, MachineError
 from simulation.fmi.fmpy_description import PLATFORM_FOLDERS
+from simulation.foreign_file import archive_errors
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX = "simulation-fmus-"
-# What zipfile raises on a member that is damaged, cut off, encrypted or of an unknown compression.
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
 
 
 def unpacked(path: Path) -> ScratchFolder:
@@ -32,12 +30,11 @@ def unpacked(path: Path) -> ScratchFolder:
     """
     scratch = ScratchFolder(SCRATCH_PREFIX)
     try:
-        _unpack(path, scratch.folder)
+        with archive_errors(path):
+            _unpack(path, scratch.folder)
     # A Ctrl-C, too, must leave no folder.
     except BaseException as error:
         scratch.remove()
-        if isinstance(error, _DAMAGED):
-            raise InputError(f"{path}: cannot be unpacked ({error}); export it again") from None
         if isinstance(error, OSError):
             raise MachineError(
                 f"{path}: cannot be unpacked to {scratch.folder.parent} ({error.strerror}); free some space "

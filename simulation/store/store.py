@@ -24,6 +24,7 @@ from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import quoted
 from simulation.trajectories import Trajectories
+from simulation.write_gate import check_database
 
 BLOCK_BYTES = 64 * 2**20
 """Outputs that a stream holds at once."""
@@ -305,6 +306,7 @@ def _keys(theta: FloatArray) -> list[bytes]:
 
 
 def _connect(file: Path) -> sqlite3.Connection:
+    check_database(file)
     is_fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
     # Where nothing can be written, SQLite's files beside it cannot be made; no other process writes either.
     place = f"{file.absolute().as_uri()}{'?immutable=1' if is_fixed else ''}"
@@ -320,6 +322,7 @@ def _decoded(raw: bytes) -> str:
 
 def _make(file: Path, described: dict[str, object], columns: list[str]) -> None:
     """Make a store without rows, whole or not at all, unless another process just did."""
+    check_database(file)
     with (
         FileLock(file.parent / ".making"),
         tempfile.TemporaryDirectory(prefix=".", dir=file.parent) as folder,

@@ -151,7 +151,7 @@ SIMULATION = (
 SIMULATED = (*CASE, *SIMULATION)
 TRIALS = (
     Option("--trials", type=whole(1), metavar="N", help="trials per size in total; default: the profile's"),
-    Option("--dry-run", action="store_true", help="show the plan and its duration; write nothing"),
+    Option("--dry-run", action="store_true", help="show the plan and known durations; write nothing"),
 )
 
 

@@ -7,7 +7,7 @@ mlruns/reports/<label>/index.html.
 
 Examples:
   studies run                              the office, quick profile
-  studies run --dry-run                    the plan and its duration
+  studies run --dry-run                    the plan and known durations
   studies run office-recorded --seed 3
   studies run office --n-train 32 64 --trials 12
 """

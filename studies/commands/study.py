@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError, MachineError
+from simulation.write_gate import check_written
 from studies.console import Console
 from studies.paths import ProjectPaths, find_case, find_project, mark_project
 
@@ -93,6 +94,7 @@ def _keep_compiled_loops(paths: ProjectPaths) -> None:
     import simulation
 
     if not os.access(Path(simulation.__file__).parent, os.W_OK):
+        check_written(paths.mlruns / "compiled")
         os.environ.setdefault("NUMBA_CACHE_DIR", str(paths.mlruns / "compiled"))
 
 

@@ -12,7 +12,7 @@ shows them. After an interruption or a kill, the same command goes on. More --tr
 Examples:
   studies tune                             all sizes of the profile
   studies tune --n-train 32 128 --trials 40
-  studies tune --dry-run                   the plan and its duration
+  studies tune --dry-run                   the plan
   studies tune --parallel 4 --max-hours 8  four trials of a size at the same time, overnight
 """
 

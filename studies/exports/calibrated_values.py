@@ -19,8 +19,16 @@ import numpy as np
 from simulation.case import Case, of_experiment
 from simulation.errors import InputError
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
-from simulation.foreign_file import CASE, FMU, check_members, parse_toml, read_limited, read_text
-from simulation.foreign_text import quoted, shortened
+from simulation.foreign_file import (
+    CASE,
+    FMU,
+    archive_errors,
+    check_members,
+    parse_toml,
+    read_limited,
+    read_text,
+)
+from simulation.foreign_text import not_a_formula, quoted, shortened
 from simulation.units import in_si
 from studies.project import FinishedCalibration, Project, best_calibrations
 from studies.provenance import Provenance, case_of, read_provenance
@@ -160,10 +168,13 @@ def as_json(found: CalibratedValues) -> bytes:
 def as_csv(found: CalibratedValues) -> bytes:
     """Return a table of name, value, unit and origin; what made them stands in a comment before it."""
     text = io.StringIO()
-    text.write(f"# {found.sentence}\n")
+    # A spreadsheet takes each part between commas for a cell.
+    text.write(f"# {','.join(map(not_a_formula, found.sentence.split(',')))}\n")
     table = csv.writer(text, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
     table.writerow(COLUMNS)
-    table.writerows([getattr(one, name) for name in COLUMNS] for one in found.values)
+    for one in found.values:
+        cells = (getattr(one, name) for name in COLUMNS)
+        table.writerow([not_a_formula(cell) if isinstance(cell, str) else cell for cell in cells])
     return text.getvalue().encode()
 
 
@@ -248,23 +259,20 @@ def as_fmu(found: CalibratedValues) -> bytes:
         InputError: The FMU is gone or damaged.
     """
     path, packed = found.case.fmu.path, io.BytesIO()
-    try:
-        with (
-            zipfile.ZipFile(io.BytesIO(read_limited(path, FMU))) as old,
-            zipfile.ZipFile(packed, "w") as new,
-        ):
-            check_members(old.infolist(), str(path))
-            for member in old.infolist():
-                content = old.read(member)
-                if member.filename == DESCRIPTION:
-                    content = _with_start_values(content, found)
-                kept = zipfile.ZipInfo(member.filename, member.date_time)
-                kept.compress_type, kept.create_system = member.compress_type, member.create_system
-                kept.external_attr = member.external_attr  # which of them are programs
-                new.writestr(kept, content)
-    # RuntimeError: a member is encrypted.
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
-        raise InputError(f"{path}: cannot be unpacked ({error}); export it again") from None
+    with (
+        archive_errors(path),
+        zipfile.ZipFile(io.BytesIO(read_limited(path, FMU))) as old,
+        zipfile.ZipFile(packed, "w") as new,
+    ):
+        check_members(old.infolist(), str(path))
+        for member in old.infolist():
+            content = old.read(member)
+            if member.filename == DESCRIPTION:
+                content = _with_start_values(content, found)
+            kept = zipfile.ZipInfo(member.filename, member.date_time)
+            kept.compress_type, kept.create_system = member.compress_type, member.create_system
+            kept.external_attr = member.external_attr  # which of them are programs
+            new.writestr(kept, content)
     return packed.getvalue()
 
 

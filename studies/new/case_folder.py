@@ -12,6 +12,7 @@ from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.whole_file import whole_file
+from simulation.write_gate import check_written
 from studies.console import Column, Console
 from studies.new.choice import (
     bounds_for,
@@ -134,6 +135,7 @@ def case_name(text: str) -> str:
 
 def _folder(fmu_file: Path, paths: ProjectPaths, wanted: Path | None) -> Path:
     if wanted is not None:
+        check_written(wanted.expanduser())
         return wanted.expanduser().resolve()
     # An FMU that was put into a folder of its own below fmus/ stays there.
     if fmu_file.resolve().parent.parent == paths.fmus.resolve():

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from simulation.errors import InputError
+from simulation.write_gate import check_written
 from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.profile import Profile
@@ -270,6 +271,7 @@ class Stage(Generic[T]):
 
     def _finished(self, *, again: bool) -> Outcome[T] | None:
         """Return what the stage came to before, and say so; None where it has to be done."""
+        check_written(self.file)
         if again:
             self.file.unlink(missing_ok=True)
         manifest, root = read_json(self.file) or {}, self.study.paths.root

@@ -9,6 +9,7 @@ import pandas as pd
 
 from simulation.arrays import FloatArray
 from simulation.case import of_experiment
+from simulation.foreign_text import not_a_formula
 from simulation.other_inputs import settings_with_inputs
 from simulation.whole_file import whole_file
 from studies.physical_model import open_physical_model
@@ -86,7 +87,8 @@ def predict_stage(
             noise = share * noise_of_outputs(known.noise, case.measurement)
             found = _with_bands(noise, found, known, y[1:])
         with whole_file(table) as stream:
-            stream.write(pd.DataFrame(dict(found.columns())).to_csv(index=False).encode())
+            columns = {not_a_formula(name): values for name, values in found.columns()}
+            stream.write(pd.DataFrame(columns).to_csv(index=False).encode())
         figure = prediction_figure(found, None if recording is not None else case.measurement)
         write_picture(figure, picture, footnote=f"{study.label}, {source}")
         return found

@@ -1,8 +1,10 @@
 """Results as files: a frozen dataclass goes to JSON and back, its arrays to an .npz file beside it."""
 
 import functools
+import hashlib
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -23,6 +25,10 @@ WITH_ARRAYS = ConfigDict(arbitrary_types_allowed=True)
 Error = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value)]
 """A number that is infinite where a simulation failed; JSON has null there."""
 T = TypeVar("T")
+CHECKSUM = "checksum"
+"""Key of a record's own checksum."""
+# What may be half a character: JSON escapes one beyond the first 65,536 as two.
+_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 # To make one takes longer than to read with it.
 _reader = cast("Callable[[type], TypeAdapter[Any]]", functools.cache(TypeAdapter))
 
@@ -63,18 +69,46 @@ def rebuilt(
 
 
 def read_json(file: Path) -> dict[str, Any] | None:
-    """Return a JSON object, or None where there is no readable one."""
+    """Return a JSON object, or None where there is no file that may be read.
+
+    Raises:
+        InputError: it is damaged, or a text in it has half a character, which no terminal, file or database
+            takes.
+    """
     try:
-        content = json.loads(read_limited(file, RECORD))
-    except (ValueError, RecursionError):
+        text = read_limited(file, RECORD)
+    except InputError:
         return None
-    return content if isinstance(content, dict) else None
+    damaged = InputError(f"{file} is damaged; remove it and repeat its command")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise damaged from None
+    if not isinstance(content, dict):
+        raise damaged
+    if _SURROGATE.search(text):
+        try:
+            json.dumps(content, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:
+            half = ascii(error.object[error.start])
+            raise InputError(f"{file}: {half} is half a character; move the file away") from None
+    # Versions before 0.3 wrote none.
+    if content.pop(CHECKSUM, None) not in (None, _checksum(content)):
+        raise damaged
+    return content
 
 
 def write_json(file: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON object in one step, safe against a crash: a reader sees the old file or the new one."""
+    # As it is read again, so that the checksum is of the same.
+    read: dict[str, Any] = json.loads(json.dumps(content, default=str))
     with whole_file(file, synced=True) as stream:
-        stream.write(f"{json.dumps(content, indent=2, default=str)}\n".encode())
+        stream.write(f"{json.dumps({**read, CHECKSUM: _checksum(read)}, indent=2)}\n".encode())
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of JSON values, whatever their order and blanks between them."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:

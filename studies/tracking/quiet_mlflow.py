@@ -4,9 +4,12 @@ import logging
 import os
 import sqlite3
 import warnings
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
+from simulation.errors import InputError, MachineError
+from simulation.foreign_text import shortened
 from simulation.pool.safe_start import environment_restored
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow is imported
@@ -23,7 +26,7 @@ logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 # MLflow writes rows that a server may already have, and goes on where it refuses them.
 logging.getLogger("psycopg").setLevel(logging.ERROR)
 
-__all__ = ["connect", "entities", "make_database", "mlflow"]
+__all__ = ["connect", "entities", "make_database", "mlflow", "storing_files"]
 
 
 def connect(uri: str) -> mlflow.MlflowClient:
@@ -57,3 +60,25 @@ def make_database(file: Path) -> None:
         source.backup(target)
     made.replace(file)
     making.unlink()
+
+
+@contextmanager
+def storing_files(run_id: str) -> Iterator[None]:
+    """Say in a line that the store of a run's artifacts refuses, which may be a server.
+
+    Raises:
+        MachineError: it does.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    # What is sent over a network fails with errors of many kinds and without a number of the system.
+    except (mlflow.MlflowException, OSError) as error:
+        if getattr(error, "errno", None) is not None:
+            raise
+        line = next(iter(str(error).splitlines()), type(error).__name__)
+        raise MachineError(
+            f"the files of MLflow's run {run_id} cannot be stored ({shortened(line)}); see to its store of "
+            "artifacts, then type the command again"
+        ) from None

@@ -22,10 +22,12 @@ from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from simulation.pool.safe_start import environment_restored
+from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.report.wording import difference_unit
+from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow
+from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow, storing_files
 from studies.tuning.declaration import ALIAS, Declaration
 
 if TYPE_CHECKING:
@@ -38,8 +40,6 @@ Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
 NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 CURVE = "curve/"
-SCHEME = "studies-project"
-"""Of artifacts that lie in the project, see `studies.tracking.artifacts`."""
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
 
@@ -50,17 +50,21 @@ class RunStore:
         paths: the project.
 
     Raises:
-        InputError: MLflow cannot use the store.
+        InputError: MLflow cannot use the store, or it names places outside the project.
         MachineError: the store does not answer, or its disk is full.
     """
 
     def __init__(self, paths: ProjectPaths) -> None:
         self._paths = paths
+        check_written(paths.artifacts)
         self._artifacts = paths.artifacts.resolve()
         self._artifacts.mkdir(parents=True, exist_ok=True)
         with opening(paths, "MLflow", paths.tracking_database):
-            if paths.storage is None and not paths.tracking_database.is_file():
-                make_database(paths.tracking_database)
+            if paths.storage is None:
+                if paths.tracking_database.is_file():
+                    check_store(paths.tracking_database)
+                else:
+                    make_database(paths.tracking_database)
             self.client = connect(paths.tracking_uri)
         self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
@@ -117,9 +121,23 @@ class RunStore:
         self.client.log_batch(run_id, metrics=results, params=settings, tags=marks)
 
     def log_files(self, run_id: str, files: Iterable[Path], folder: str | None = None) -> None:
-        """Copy files among a run's artifacts."""
-        for file in files:
-            self.client.log_artifact(run_id, str(file), folder)
+        """Copy files among a run's artifacts.
+
+        Raises:
+            MachineError: the store of artifacts refuses.
+        """
+        with storing_files(run_id):
+            for file in files:
+                self.client.log_artifact(run_id, str(file), folder)
+
+    def log_record(self, run_id: str, record: Mapping[str, Any]) -> None:
+        """Write what makes a run's result again among its artifacts.
+
+        Raises:
+            MachineError: the store of artifacts refuses.
+        """
+        with storing_files(run_id):
+            self.client.log_dict(run_id, dict(record), "provenance.json")
 
     def fetch(self, run_id: str, name: str, folder: Path) -> Path:
         """Copy an artifact of a run into a folder.
@@ -200,7 +218,7 @@ def log_stage(
     runs.log_files(run_id, figures, "figures")
     runs.log_files(run_id, artifacts)
     if record:
-        runs.client.log_dict(run_id, dict(record), "provenance.json")
+        runs.log_record(run_id, record)
     runs.end(run_id, "FINISHED", end_s=now_s)
 
 
@@ -279,20 +297,23 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
         inputs: list[ColSpec | TensorSpec] = [ColSpec("double", name) for name in spec.parameter_names]
         outputs = Schema([TensorSpec(np.dtype(np.float64), (-1, -1, len(spec.output_names)))])
         mlflow.set_experiment(experiment_id=runs.experiment(spec.label))
-        logged = Model.log(
-            None,
-            mlflow.pyfunc,
-            run_id=best.run_id,
-            name=spec.model_name,
-            model_type="PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP",
-            tags={"study": spec.name, "trial": best.number},
-            loader_module="pelsvae.pyfunc",
-            code_paths=[str(Path(pelsvae.__file__).parent)],
-            data_path=str(runs.fetch(best.run_id, SURROGATE, Path(scratch))),
-            pip_requirements=[f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")],
-            signature=ModelSignature(Schema(inputs), outputs),
-            input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
-        )
+        weights = runs.fetch(best.run_id, SURROGATE, Path(scratch))
+        needed = [f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")]
+        with storing_files(best.run_id):
+            logged = Model.log(
+                None,
+                mlflow.pyfunc,
+                run_id=best.run_id,
+                name=spec.model_name,
+                model_type="PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP",
+                tags={"study": spec.name, "trial": best.number},
+                loader_module="pelsvae.pyfunc",
+                code_paths=[str(Path(pelsvae.__file__).parent)],
+                data_path=str(weights),
+                pip_requirements=needed,
+                signature=ModelSignature(Schema(inputs), outputs),
+                input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
+            )
     unit, client = difference_unit(spec.output_unit), runs.client
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
     said = ". ".join(part for part in (f"Trial {best.number} of {spec.name}", errors, spec.note) if part)

@@ -51,7 +51,7 @@ class TrialRun:
         self._points: list[entities.Metric] = []
         self._flushed_s = time.monotonic()
         runs.log(self.id, params={"n_train": spec.n_train, **params})
-        runs.client.log_dict(self.id, record, "provenance.json")
+        runs.log_record(self.id, record)
 
     def log(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""

@@ -12,6 +12,7 @@ from urllib.parse import quote, urlencode
 
 from simulation.errors import InputError, MachineError
 from simulation.pool.family import end_with_parent
+from simulation.write_gate import check_written
 from studies.console import Console
 from studies.paths import ProjectPaths
 
@@ -45,6 +46,8 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
     """
     if paths.storage is None and not paths.tracking_database.is_file():
         raise InputError(f"there is no {paths.show(paths.tracking_database)} yet; type: studies run")
+    log = paths.mlruns / LOG_FILE
+    check_written(log)
     chosen = _free_port(port)
     address, pages = f"http://{HOST}:{chosen}/", _pages(paths, label)
     command = [sys.executable, "-P", "-m", "mlflow", "server", "--host", HOST, "--port", str(chosen)]
@@ -53,7 +56,7 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
     store = dict.fromkeys(("MLFLOW_BACKEND_STORE_URI", "MLFLOW_TRACKING_URI"), paths.tracking_uri)
     console.say("ui: starting MLflow")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with (paths.mlruns / LOG_FILE).open("w", encoding="utf-8") as messages:
+    with log.open("w", encoding="utf-8") as messages:
         # A session of its own: Ctrl-C comes to this process alone, which stops all that MLflow has started.
         server = subprocess.Popen(
             command,
@@ -71,7 +74,7 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
                 console.result("Ctrl-C stops it.")
                 console.document({"command": "ui", "url": f"{address}{next(iter(pages.values()))}"})
                 server.wait()
-            raise MachineError(f"MLflow ended by itself; {paths.show(paths.mlruns / LOG_FILE)} says why")
+            raise MachineError(f"MLflow ended by itself; {paths.show(log)} says why")
         except KeyboardInterrupt:
             console.say("ui: stopped")
             return 0

@@ -21,7 +21,6 @@ import sys
 import tempfile
 import time
 import uuid
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -122,10 +121,10 @@ def record_of(content: dict[str, Any]) -> Any:
         return numbers_of(content)
     if content["stage"] == "check":
         # It says how long a simulation took, "0.461 ms per simulation", and how many fitted into a time.
-        for finding in content["summary"]["findings"]:
+        for finding in content["result"]["findings"]:
             finding["found"] = re.sub(r"[\d.]+ (ms|s|min|h|simulations)\b", "some", finding["found"])
     # The report's digest is one of whole files, measured times included: it differs without a kill as well.
-    parts = ("stage", "summary") if content["stage"] == "report" else ("stage", "summary", "digest")
+    parts = ("stage", "result") if content["stage"] == "report" else ("stage", "result", "digest")
     return numbers_of({part: content[part] for part in parts})
 
 
@@ -144,7 +143,6 @@ def differences(one: Any, other: Any, place: str = "") -> Iterator[str]:
 def held(project: Path) -> dict[str, Any]:
     """Return the numbers, rows, trials and files that a project holds."""
     import optuna
-    import pyarrow.parquet as pq
 
     found: dict[str, Any] = {}
     for file in sorted((project / "mlruns" / "results").rglob("*")):
@@ -163,13 +161,13 @@ def held(project: Path) -> dict[str, Any]:
         if file.is_file() and "generated" not in file.parts:
             content = hashlib.sha256(file.read_bytes()).hexdigest() if file in given else "there"
             found.setdefault(str(file.relative_to(project)), content)
-    rows: Counter[tuple[float, ...]] = Counter()
-    for file in (project / "data").rglob("*.parquet"):
-        table = pq.read_table(file)
-        names = [name for name in table.column_names if name.startswith("theta")] or table.column_names[:7]
-        for row in zip(*(table[name].to_pylist() for name in names), strict=True):
-            rows[tuple(str(one) for one in row)] += 1
-    found["rows"] = set(rows)
+    rows = set[tuple[Any, ...]]()
+    for file in (project / "data").rglob("*.db"):
+        with contextlib.closing(sqlite3.connect(file)) as database:
+            # The checksum is one of the parameters, the failure and all outputs.
+            query = "select _theta, _failure, _check from simulations"
+            rows |= {(file.name, *row) for row in database.execute(query)}
+    found["rows"] = rows
     if (project / "mlruns" / "optuna.db").is_file():
         storage = optuna.storages.RDBStorage(f"sqlite:///{project}/mlruns/optuna.db")
         for study in storage.get_all_studies():
@@ -229,10 +227,37 @@ def attacked(
             return n_kills, f"files are left: {files[:5]}"
         if runs := open_runs(project):
             return n_kills, f"runs of MLflow are left open: {runs[:5]}"
-        now = held(project) | answered(answer, project)
-        lost = after["rows"] - now["rows"]
-        other = list(differences(after | {"rows": 0}, now | {"rows": 0}))
-        return n_kills, "; ".join([f"{len(lost)} rows lost"] * bool(lost) + other[:10])
+        return n_kills, "; ".join(wrong_of(after, held(project) | answered(answer, project))[:10])
+
+
+def check_that_it_sees(project: Path, after: dict[str, Any]) -> None:
+    """Spoil a copy of a finished project in three places, and stop unless each is seen.
+
+    Raises:
+        AssertionError: What this script compares does not hold what the project holds.
+    """
+    with tempfile.TemporaryDirectory(prefix="command-kills-") as name:
+        copy = Path(name) / "project"
+        shutil.copytree(project, copy)
+        assert not wrong_of(after, held(copy)), "a copy is the same"
+        store = next((copy / "data").rglob("*.db"))
+        with contextlib.closing(sqlite3.connect(store)) as database, database:
+            database.execute("delete from simulations where _id = (select max(_id) from simulations)")
+        record = copy / "mlruns" / "results" / "wall-smoke" / "calibrate-adaptive.json"
+        content = json.loads(record.read_text())
+        content["result"]["mse"] *= 1.001
+        record.write_text(json.dumps(content))
+        with contextlib.closing(sqlite3.connect(copy / "mlruns" / "optuna.db")) as database, database:
+            database.execute("update trial_values set value = value * 1.001")
+        seen = wrong_of(after, held(copy))
+        for what in ("1 rows lost", "calibrate-adaptive.json/result/mse", "trials of "):
+            assert any(what in one for one in seen), f"not seen: {what}"
+
+
+def wrong_of(after: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Say what a project lacks, or has otherwise, of what it should hold."""
+    lost = after["rows"] - now["rows"]
+    return [f"{len(lost)} rows lost"] * bool(lost) + [*differences(after | {"rows": 0}, now | {"rows": 0})]
 
 
 def is_finished_before(words: tuple[str, ...], code: int, said: str) -> bool:
@@ -254,7 +279,7 @@ def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=int(os.environ.get("KILLS_SEED", "0")))
     parser.add_argument("--only", help="the commands of this name alone")
     chosen = parser.parse_args()
     draw, n_wrong, n_kills = random.Random(chosen.seed), 0, 0
@@ -273,6 +298,7 @@ def main() -> int:
                 (words, before, held(project) | answered(answer, project), time.monotonic() - began)
             )
             print(f"{states[-1][3]:.1f} s without a kill: {' '.join(words)}", flush=True)
+        check_that_it_sees(project, held(project))
         states = [state for state in states if chosen.only in (None, state[0][0])]
         seen: dict[tuple[str, ...], list[tuple[int, str]]] = {state[0]: [] for state in states}
         for words, before, after, took_s in itertools.cycle(states):

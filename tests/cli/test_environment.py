@@ -54,3 +54,34 @@ def test_no_room_is_one_line(project: Path) -> None:
     )
     assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
     assert re.search("o space left on device|is full", done.stderr)
+
+
+def test_names_that_python_does_not_read_as_utf_8_are_one_line(tmp_path: Path) -> None:
+    folder = tmp_path / "Prüfstand"
+    folder.mkdir()
+    command = [sys.executable, "-P", "-m", "studies", "status"]
+    own = os.environ | {"PYTHONPATH": str(REPOSITORY), "LC_ALL": "C"}
+    for utf8, code in (("0", 1), ("1", 0)):
+        done = subprocess.run(
+            command, cwd=folder, env=own | {"PYTHONUTF8": utf8, "PYTHONCOERCECLOCALE": "0"},
+            capture_output=True, text=True, check=False, timeout=60.0,
+        )  # fmt: skip
+        assert (done.returncode, len(done.stderr.splitlines())) == (code, code), done.stderr
+    assert not [*folder.iterdir()]
+
+
+def test_linux_without_proc_is_one_line(project: Path) -> None:
+    mount = ["unshare", "-m", "sh", "-c", "mount -t tmpfs none /proc"]
+    if shutil.which("unshare") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("this machine allows no mounts")
+    done = subprocess.run(
+        [*mount[:-1], f'{mount[-1]}; exec "$0" -P -m studies simulate --profile smoke -q', sys.executable],
+        cwd=project,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60.0,
+    )
+    assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
+    assert "mount -t proc" in done.stderr

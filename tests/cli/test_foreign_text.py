@@ -1,13 +1,15 @@
 """Texts of strangers on the terminal: nothing in them is obeyed, and what messages quote of them is short."""
 
+import json
 import unicodedata
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from project_for_tests import Run, copy_of, edit
 
-from simulation.foreign_text import MOST_QUOTED, escaped, quoted
+from simulation.foreign_text import MOST_QUOTED, escaped, not_a_formula, quoted
 from studies.console import Column, Console, Table
 
 CLEAR = "\x1b[2J\x1b]0;title\x07"
@@ -81,3 +83,39 @@ def test_a_note_shows_no_picture(tmp_path: Path, picture: str) -> None:
         assert note.startswith("3 rows ")
         assert "![" not in note
         assert "<" not in note
+
+
+@pytest.mark.parametrize("text", ["=1+1", " =1+1", "+1", "-x", "@sum", "\t=1"])
+def test_no_text_is_a_formula(text: str) -> None:
+    assert not_a_formula(text) == f"'{text}"
+    assert not_a_formula(f"a{text}") == f"a{text}"
+    assert not_a_formula("") == ""
+
+
+def test_half_a_character_in_a_record_is_one_line(
+    hasty_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    root = copy_of(hasty_wall, tmp_path / "project", monkeypatch)
+    edit(root / "mlruns/results/wall-quick/calibrate-adaptive.json", ('"TMasonry"', r'"\ud800\udc00 \udfff"'))
+    for command in (("status",), ("best",), ("report", "wall"), ("uncertainty", "wall")):
+        answer = studies(*command)
+        assert (answer.code, len(answer.err.splitlines())) == (2, 1), answer.err
+        assert r"calibrate-adaptive.json: '\udfff' is half a character" in answer.err
+
+
+def test_a_damaged_record_is_named_until_it_is_removed(
+    hasty_wall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    root = copy_of(hasty_wall, tmp_path / "project", monkeypatch)
+    record = root / "mlruns/results/wall-quick/calibrate-adaptive.json"
+    whole = json.loads(record.read_text())
+    edit(record, ('"n_failed": 0', '"n_failed": 1'))
+    calibrate = ("calibrate", "wall", "--max-calls", "8", "--jobs", "1", "-q")
+    for command in (("status",), ("best",), ("report", "wall"), calibrate):
+        answer = studies(*command)
+        assert (answer.code, len(answer.err.splitlines())) == (2, 1), answer.err
+        assert "calibrate-adaptive.json is damaged; remove it and repeat its command" in answer.err
+    record.unlink()
+    assert studies(*calibrate).code == 0
+    assert json.loads(record.read_text())["result"]["mse"] == whole["result"]["mse"]
+    assert studies("status").code == 0

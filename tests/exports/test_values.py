@@ -22,7 +22,7 @@ from simulation.case_reading import read_experiments
 from simulation.fmi.description import read_description
 from simulation.fmi.variable import Value
 from studies.cli import main
-from studies.exports.calibrated_values import CalibratedValues, calibrated_values
+from studies.exports.calibrated_values import CalibratedValues, as_csv, calibrated_values
 from studies.paths import find_project
 from studies.project import read_project
 
@@ -138,6 +138,16 @@ def test_tables_give_the_same_error_and_name_their_origin(found: CalibratedValue
     assert origins.count("fixed") == len(found.case.fixed)
     units = {row["name"]: row["unit"] for row in rows}
     assert units[rows[0]["name"]] == found.case.fmu.variables[rows[0]["name"]].unit
+
+
+def test_no_cell_of_a_table_is_a_formula(found: CalibratedValues) -> None:
+    formula = "=cmd|' /C calc'!A0"
+    first = dataclasses.replace(found.values[0], value=formula, unit="@x", origin="+1")
+    finished = dataclasses.replace(found.finished, changed_since=("a", formula))
+    text = as_csv(dataclasses.replace(found, values=(first, *found.values[1:]), finished=finished)).decode()
+    cells = [cell for line in csv.reader(text.splitlines()) for cell in line]
+    assert not [cell for cell in cells if cell.strip()[:1] in ("=", "@", "+")]
+    assert {f"'{formula}", "'@x", "'+1"} <= {*cells}
 
 
 def test_an_fmu_starts_with_the_values_and_is_otherwise_the_same(found: CalibratedValues) -> None:

@@ -1,6 +1,6 @@
 """Files of strangers, mostly wrong, some right: whatever they hold, a command ends with one line at most.
 
-`FUZZ_INPUTS=5000 pytest tests/fuzz` tries more.
+`FUZZ_INPUTS=5000 FUZZ_SEED=7 pytest tests/fuzz` tries more, and others.
 """
 
 import contextlib
@@ -27,6 +27,7 @@ from simulation.foreign_text import has_control
 from studies.cli import main
 
 N_INPUTS = int(os.environ.get("FUZZ_INPUTS", "80"))
+SEED = int(os.environ.get("FUZZ_SEED", "0"))
 LIMIT_S, LONGEST_LINE = 20.0, 2500
 PLACES = {
     "case": "fmus/wall/case.toml",
@@ -174,7 +175,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_no_file_of_a_stranger_does_harm(project: Path) -> None:
     tried: Counter[tuple[str, bool]] = Counter()
 
-    @seed(0)
+    @seed(SEED)
     @settings(
         max_examples=N_INPUTS,
         database=None,
@@ -203,3 +204,31 @@ def test_no_file_of_a_stranger_does_harm(project: Path) -> None:
     harmless()
     assert {kind for kind, _ in tried} == {*PLACES}
     assert sum(tried.values()) > N_INPUTS / 2
+
+
+def drawn(number: int) -> list[tuple[str, bytes, bool]]:
+    """Return the inputs that a seed draws."""
+    found = []
+
+    @seed(number)
+    @settings(max_examples=12, database=None, deadline=None, phases=[Phase.generate])
+    @given(inputs())
+    def keep(one: tuple[str, bytes, bool]) -> None:
+        found.append(one)
+
+    keep()
+    return found
+
+
+def test_a_seed_draws_the_same_inputs_and_another_seed_others() -> None:
+    """Else many runs would try what one has tried."""
+    first = drawn(1)
+    assert first == drawn(1)
+    assert len([one for one in drawn(2) if one not in first and not one[2]]) > len(first) / 4
+
+
+def test_what_a_command_leaves_is_seen(project: Path) -> None:
+    (project / PLACES["record"]).write_bytes(original("record"))
+    before = listing(project)
+    (project.parent / "left").touch()
+    assert listing(project) != before

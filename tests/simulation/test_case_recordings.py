@@ -1,6 +1,7 @@
 """Recordings as loggers write them: own times, gaps, other separators, timestamps, clocks set back."""
 
 import re
+import tracemalloc
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from case_for_tests import edit
 
 from simulation import InputError, load_case
+from simulation.recording import read_recording
 
 DAY = 86400
 
@@ -144,3 +146,57 @@ def test_what_a_clock_change_makes_of_a_clock_is_reported(decay_case: Path):
     stamped(decay_case, [*shifted[:5], *shifted[4:-1]])
     with pytest.raises(InputError, match=r"repeats the line above .* sort the rows and drop duplicates$"):
         load_case(decay_case)
+
+
+SECRET = "machine example.org login me password s3cret"
+
+
+@pytest.mark.parametrize("how", ["named", "linked"])
+@pytest.mark.parametrize("content", [f"{SECRET}\n", f"time_s,T_degC\n0,1\n3600,{SECRET}\n"])
+def test_what_a_file_outside_the_project_holds_is_not_quoted(
+    decay_case: Path, tmp_path_factory: pytest.TempPathFactory, content: str, how: str
+):
+    secret = tmp_path_factory.mktemp("home") / ".netrc"
+    secret.write_text(content)
+    place = secret
+    if how == "linked":
+        place = decay_case / "data" / "room.csv"
+        place.symlink_to(secret)
+    edit(decay_case, ('file = "recording.csv"\ncolumn = "T_degC"', f'file = "{place}"\ncolumn = "T_degC"'))
+    with pytest.raises(
+        InputError, match=r"outside the project of its case.*STUDIES_FOLLOW_LINKS=1"
+    ) as caught:
+        load_case(decay_case)
+    assert "s3cret" not in str(caught.value)
+    assert str(secret) in str(caught.value)
+
+
+def test_what_the_user_allows_is_quoted(decay_case: Path, monkeypatch: pytest.MonkeyPatch):
+    edit(decay_case, ('data = "data"', 'data = "/proc/self"'), ('file = "recording.csv"', 'file = "status"'))
+    with pytest.raises(InputError, match="outside the project"):
+        load_case(decay_case)
+    monkeypatch.setenv("STUDIES_FOLLOW_LINKS", "1")
+    with pytest.raises(InputError, match="found Name:"):
+        load_case(decay_case)
+
+
+@pytest.mark.parametrize("blank", ["", ","])
+@pytest.mark.parametrize("is_at_end", [True, False])
+def test_blank_lines_take_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank: str, *, is_at_end: bool
+):
+    n_bytes = 200_000
+    monkeypatch.setenv("STUDIES_LIMITS", "0.005")  # as much is read at once, 64 MB without it
+    blanks = f"{blank}\n" * (n_bytes // (len(blank) + 1))
+    file = tmp_path / "x.csv"
+    file.write_text("time_s,a\n0,1\n1,2\n" + blanks + ("" if is_at_end else "2,3\n"))
+    tracemalloc.start()
+    if is_at_end:
+        assert len(read_recording(file, ["a"]).time) == 2
+    else:
+        with pytest.raises(InputError, match="line 4"):
+            read_recording(file, ["a"])
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # The bytes, their text, and that text as csv reads it, at four bytes a character; a row takes 56 more.
+    assert most < 10 * n_bytes

@@ -2,6 +2,7 @@
 
 import os
 import stat
+import struct
 import tempfile
 import zipfile
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from simulation import InputError
+from simulation.errors import MachineError
 from simulation.fmi.unpack import unpacked
 
 
@@ -73,4 +75,53 @@ def test_a_link_is_refused_where_it_would_be_used(fmu: Path, folder: Path, name:
         archive.writestr(_link(name), "/etc/passwd")
     with pytest.raises(InputError, match="which is a link; pack the file itself"):
         unpacked(fmu)
+    assert not list(folder.iterdir())
+
+
+def _lying(content: bytes, name: str, *changes: tuple[int, int, str, int]) -> bytes:
+    """Change what an archive says of a member: offsets in its central and local header, format and value."""
+    said = bytearray(content)
+    central = said.rindex(name.encode()) - 46  # the name follows the central header, which is the last of it
+    (local,) = struct.unpack_from("<I", said, central + 42)
+    for in_central, in_local, form, value in changes:
+        struct.pack_into(form, said, central + in_central, value)
+        struct.pack_into(form, said, local + in_local, value)
+    return bytes(said)
+
+
+COMPRESSION, CHECKSUM, SIZE = (10, 8, "<H"), (16, 14, "<I"), (24, 22, "<I")
+
+
+@pytest.mark.parametrize(
+    "change", [(*COMPRESSION, 12), (*COMPRESSION, 14), (*COMPRESSION, 99), (*CHECKSUM, 1), (*SIZE, 1)]
+)
+def test_a_member_that_lies_is_a_fault_of_the_archive(
+    fmu: Path, folder: Path, change: tuple[int, int, str, int]
+):
+    fmu.write_bytes(_lying(fmu.read_bytes(), "resources/table.txt", change))
+    with pytest.raises(InputError, match=r"cannot be unpacked .*; export it again") as caught:
+        unpacked(fmu)
+    assert not isinstance(caught.value, MachineError)
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("resources",),
+        ("resources/table.txt/x",),
+        ("resources/a/b", "resources/a"),
+        ("resources/.",),
+        (f"resources/{'a' * 300}",),
+    ],
+)
+def test_names_that_no_folder_has_together_are_a_fault_of_the_archive(
+    fmu: Path, folder: Path, names: tuple[str, ...]
+):
+    with zipfile.ZipFile(fmu, "a") as archive:
+        for name in names:
+            archive.writestr(name, "x")
+    with pytest.raises(InputError, match=r"cannot be unpacked .*; export it again") as caught:
+        unpacked(fmu)
+    assert not isinstance(caught.value, MachineError)
     assert not list(folder.iterdir())

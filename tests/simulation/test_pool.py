@@ -15,6 +15,7 @@ from toy_rc import ToyRC
 
 from simulation import InputError, PoolModel
 from simulation.errors import MachineError
+from simulation.pool import pool_model
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
 
@@ -45,7 +46,10 @@ def test_slow_rows_get_all_workers_and_bring_the_same_bits():
     assert answer.digest == ToyRC().simulate(rows).digest
 
 
-def test_little_work_gets_one_worker():
+def test_little_work_gets_one_worker(monkeypatch: pytest.MonkeyPatch):
+    # Less than a second process is worth: on a busy machine, 200 rows of nothing take longer than usual.
+    for limit in ("START_PAYS_S", "_SURELY_SLOW_S"):
+        monkeypatch.setattr(pool_model, limit, 120.0)
     with PoolModel(SlowToy(row_s=0.0).open, 4) as model:
         for n in (1, 15, 200):
             model.simulate(rows_of(n))
