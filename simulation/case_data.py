@@ -13,10 +13,11 @@ from simulation.errors import InputError
 from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
 from simulation.time_unit import HOURS
-from simulation.timestamps import zero_of, zone_named
+from simulation.timestamps import FIRST, zero_of, zone_named
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
+FROM_FIRST_ROW = f'zero = "{FIRST}" in [time] counts from the first row instead'
 _CLOCKS = {
     "seconds": "counts seconds",
     "local": "has timestamps without an offset from UTC",
@@ -29,12 +30,12 @@ class CaseData:
     """All recordings of a case, with times on one axis.
 
     Attributes:
-        recordings: By their names in the case file, on one time axis.
-        day_zero_s: Model time at which the days of the case file begin to count. [s]
+        recordings: By their names in the case file; their times are the model's.
+        counts_seconds: Whether the times are those of the files, which count seconds from a zero of theirs.
     """
 
     recordings: dict[str, Recording]
-    day_zero_s: float
+    counts_seconds: bool
 
     def first_measured(self, table: OutputTable, start_s: float) -> float:
         """Return the measured value of an output at the start of the simulation: the nearest in time.
@@ -80,9 +81,11 @@ class CaseData:
             remedy = "choose another window, or record longer"
             if len(time) and (time[0] > edges[-1] or time[-1] < edges[0]):
                 remedy = "no moment is in both; correct the times of this file or of the first output's"
-            raise InputError(
-                f"{recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; {remedy}"
-            )
+            elif len(time) and time[0] > edges[0]:
+                remedy = "begin the simulation later, or record from its begin on"
+                remedy += f"; {FROM_FIRST_ROW}" * self.counts_seconds
+            needs = f"the simulation needs {edges[0]:.12g} to {edges[-1]:.12g} s"
+            raise InputError(f"{recording.path} {held}, {needs}; {remedy}")
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         # A held value is needed until the window ends, the others as far as the next sample.
         ends = np.minimum(time[1:], edges[-1]) if table.interpolation == "held" else time[1:]
@@ -164,7 +167,7 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
     Args:
         file: The case file's content.
         recordings: The recordings by their names in it.
-        leading: Name of the one whose first row is time 0 of timestamps; "" for the first output's.
+        leading: Name of the one whose first row may be time 0; "" for the first output's.
 
     Raises:
         InputError: If their times do not belong together.
@@ -182,9 +185,8 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
                 f"{recording.path} {_CLOCKS[recording.clock]} and {first.path} {_CLOCKS[first.clock]}; "
                 "write the times of all files alike"
             )
-    zero_s = float(first.time[0])
-    if file.time.zero is not None:
+    counts_seconds = first.clock == "seconds" and file.time.zero is None
+    zero_s = 0.0 if counts_seconds else float(first.time[0])
+    if file.time.zero not in (None, FIRST):
         zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone))
-    elif first.clock == "seconds":
-        return CaseData(recordings, zero_s)
-    return CaseData({name: one.since(zero_s) for name, one in recordings.items()}, 0.0)
+    return CaseData({name: one.since(zero_s) for name, one in recordings.items()}, counts_seconds)

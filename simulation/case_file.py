@@ -91,8 +91,9 @@ def _in_days(
 class TimeTable(_WindowTable):
     """Key [time]: periods in days or, all of them, in seconds; steps in seconds.
 
-    They count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
-    which is the model's time 0 as well. Write `window_d` or `window_s`, and the other periods like it.
+    They count from the model's time 0. Of a column of seconds, minutes, hours or days it is the 0 of the
+    column; of timestamps it is the first row of the first output's file. `zero` names another moment. Write
+    `window_d` or `window_s`, and the other periods like it.
 
     Attributes:
         window_d: begin and end of what is calibrated.
@@ -101,7 +102,8 @@ class TimeTable(_WindowTable):
         start_s: the same in seconds.
         validation_d: begin and end of a part that is not calibrated, to try the result on.
         validation_s: the same in seconds.
-        zero: the timestamp of time 0, for recordings with timestamps.
+        zero: the timestamp of time 0, for recordings with timestamps; or "first" for the first row of the
+            first output's file.
         communication_step_s: step of a co-simulation, over which its inputs are held.
         output_step_s: step of the outputs, a multiple of the communication step.
     """

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.case_data import CaseData
+from simulation.case_data import FROM_FIRST_ROW, CaseData
 from simulation.case_file import CaseFile, OutputTable
 from simulation.errors import InputError, errors_at
 from simulation.limits import Limits
@@ -126,16 +126,29 @@ def time_grid(file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArra
         (data.recordings[table.file] for table in file.outputs if table.file is not None),
         key=lambda one: float(one.time[-1]),
     )
-    length_d = (longest.time[-1] - data.day_zero_s) / DAY_S
+    length_d = longest.time[-1] / DAY_S
     # Where samples are not taken evenly, the last of a period comes a little before its end.
     slack_d = 0.0 if longest.is_even else longest.step_s / DAY_S
     if end_d > length_d + slack_d + 1e-9:
         raise InputError(
             f"{period.said}: the recording {longest.path} ends at {unit.moment(length_d)}; shorten the window"
         )
-    start = data.day_zero_s + start_d * DAY_S
+    _check_begin_in_time(file, data, period)
+    start = start_d * DAY_S
     n_steps = (n_warmup + n_reported) * output_every
     return start + step * np.arange(n_steps + 1, dtype=np.float64), output_every, n_warmup
+
+
+def _check_begin_in_time(file: CaseFile, data: CaseData, period: Period) -> None:
+    """Check that what is measured begins within a period: Unix seconds do not."""
+    for name in dict.fromkeys(table.file for table in file.outputs if table.file is not None):
+        recording = data.recordings[name]
+        first_d = float(recording.time[0]) / DAY_S
+        if data.counts_seconds and first_d > period.reported_d[1]:
+            raise InputError(
+                f"{period.said} ends before {recording.path} begins, at {file.time.unit.moment(first_d)}; "
+                f"choose a later window, or: {FROM_FIRST_ROW}"
+            )
 
 
 def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -> Measurement:

@@ -13,6 +13,8 @@ from simulation.errors import InputError
 from simulation.foreign_text import quoted
 
 Clock = Literal["seconds", "local", "utc"]
+FIRST = "first"
+"""In place of a timestamp: the first row of a recording."""
 
 # Day first: with points no other order is in use.
 _DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}))?")
@@ -76,9 +78,14 @@ def zero_of(text: str, clock: Clock, zone: tzinfo | None) -> float:
     try:
         moment = _parsed(text)
     except ValueError:
-        raise InputError(f'{where} is no timestamp; write for instance "2018-01-01T00:00"') from None
+        raise InputError(
+            f'{where} is no timestamp; write for instance "2018-01-01T00:00", or "{FIRST}" for the first row'
+        ) from None
     if clock == "seconds":
-        raise InputError(f"{where}: the recordings count seconds, which have a zero; drop the key")
+        raise InputError(
+            f"{where}: the recordings count seconds, which have a zero; drop the key, or write "
+            f'zero = "{FIRST}" to count from the first row'
+        )
     if (moment.tzinfo is not None or zone is not None) != (clock == "utc"):
         has, remedy = ("an", "add one") if clock == "utc" else ("no", "drop it")
         raise InputError(f"{where}: the recordings have {has} offset from UTC; {remedy} here")
