@@ -4,8 +4,8 @@ import difflib
 import hashlib
 import io
 import zipfile
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +134,8 @@ class FmuDescription:
             The variable.
 
         Raises:
-            InputError: If there is none of this name, it has another causality, or no case can use it.
+            InputError: If there is none of this name or more than one, it has another causality, or no case
+                can use it.
         """
         variable = self.variables.get(name)
         if variable is None:
@@ -143,6 +144,7 @@ class FmuDescription:
             close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
             hint = f"did you mean {by_lower[close[0]]}?" if close else f"it has: {_listed(candidates)}"
             raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
+        variable.require_once(f"{where}: {self.path.name}")
         stands_in = causality == "output" and variable.causality == "local"
         stands_in |= causality == "parameter" and (
             variable.is_start_value
@@ -237,9 +239,7 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        variables={
-            str(variable.name): reading.variable_of(variable, version) for variable in model.modelVariables
-        },
+        variables=_by_name(reading.variable_of(one, version) for one in model.modelVariables),
         fmi_version=version,
         interfaces=runnable,
         default_experiment=DefaultExperiment(
@@ -256,6 +256,17 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         n_event_indicators=n_event_indicators,
         units={str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions},
     )
+
+
+def _by_name(variables: Iterable[FmuVariable]) -> dict[str, FmuVariable]:
+    """Return variables by name, the last one of a name with the references of those before."""
+    found = dict[str, FmuVariable]()
+    for one in variables:
+        before = found.get(one.name)
+        if before is not None:
+            one = replace(one, namesakes=(*before.namesakes, before.reference))
+        found[one.name] = one
+    return found
 
 
 def _listed(names: tuple[str, ...]) -> str:

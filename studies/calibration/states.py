@@ -155,6 +155,8 @@ def why_unwatched(case: Case) -> str:
     for name in (*fmu.states, *fmu.derivatives):
         if fmu.variables[name].kind not in ("Real", "Float64") or fmu.variables[name].shape:
             return f"{fmu.path}: {name} is no scalar of 64 bits, which states have to be"
+        if fmu.variables[name].namesakes:
+            return f"{fmu.path}: {fmu.variables[name].twice}"
     return ""
 
 
@@ -168,7 +170,7 @@ def _locals(case: Case) -> tuple[str, ...]:
     for name, one in fmu.variables.items():
         is_signal = one.causality in ("local", "output") and one.variability in ("continuous", "discrete")
         is_number = one.kind in ("Real", "Float64") and not one.shape
-        if is_signal and is_number and (one.kind, one.reference) not in known:
+        if is_signal and is_number and not one.namesakes and (one.kind, one.reference) not in known:
             known.add((one.kind, one.reference))
             found.append(name)
     return tuple(found[:MOST_LOCALS])

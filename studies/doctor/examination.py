@@ -20,6 +20,7 @@ from studies.console import format_seconds
 from studies.doctor.begin import look_at_begin
 from studies.doctor.declared import look_at_data, look_at_declaration
 from studies.doctor.finding import STOPPED, Diagnosis, Finding, finding, named
+from studies.doctor.names import look_at_names
 from studies.physical_model import open_physical_model
 from studies.stages.pipeline import Study
 
@@ -51,7 +52,7 @@ def _examine(study: Study, *, is_thorough: bool) -> Diagnosis:
     """Examine a single experiment."""
     case = study.case
     examination = _Examination(study, is_thorough=is_thorough)
-    findings = [*look_at_declaration(case), *look_at_data(case), *look_at_begin(case)]
+    findings = [*look_at_declaration(case), *look_at_data(case), *look_at_begin(case), *look_at_names(case)]
     with (
         study.console.progress("examinations", N_STEPS) as advance,
         closing(examination.simulated()) as simulated,
