@@ -104,6 +104,7 @@ class TimeTable(_WindowTable):
         validation_s: the same in seconds.
         zero: the timestamp of time 0, for recordings with timestamps; or "first" for the first row of the
             first output's file.
+        fmu_unit: unit of the FMU's own time, as "h", where the FMU declares none; without it, seconds.
         communication_step_s: step of a co-simulation, over which its inputs are held.
         output_step_s: step of the outputs, a multiple of the communication step.
     """
@@ -113,6 +114,7 @@ class TimeTable(_WindowTable):
     validation_d: Pair | None = None
     validation_s: Pair | None = None
     zero: Annotated[Name, BeforeValidator(_as_text)] | None = None
+    fmu_unit: Name | None = None
     communication_step_s: Positive
     output_step_s: Positive
 

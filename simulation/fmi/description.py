@@ -11,6 +11,7 @@ from typing import Any
 
 from simulation.errors import InputError
 from simulation.fmi import fmpy_description as reading
+from simulation.fmi.own_time import clock_of
 from simulation.fmi.variable import (
     REAL_KINDS,
     SETTERS,
@@ -232,18 +233,19 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         raise ValueError(f"{n_event_indicators} event indicators")
     EVENT_INDICATORS.check(n_event_indicators, str(path))
     derivatives = [one.variable for one in model.derivatives if one.variable.derivative is not None]
-    experiment = ("startTime", "stopTime", "stepSize", "tolerance")
+    variables = _by_name(reading.variable_of(one, version) for one in model.modelVariables)
+    units = {str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions}
     return FmuDescription(
         path=path,
         guid=str(model.guid),
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        variables=_by_name(reading.variable_of(one, version) for one in model.modelVariables),
+        variables=variables,
         fmi_version=version,
         interfaces=runnable,
-        default_experiment=DefaultExperiment(
-            *(reading.number_or_none(getattr(model.defaultExperiment, name, None)) for name in experiment)
+        default_experiment=reading.experiment_of(
+            model.defaultExperiment, unit_s=clock_of(variables, units).unit_s or 1.0
         ),
         states=tuple(str(one.derivative.name) for one in derivatives),
         derivatives=tuple(str(one.name) for one in derivatives),
@@ -254,7 +256,7 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
             if unknown.dependencies is not None
         },
         n_event_indicators=n_event_indicators,
-        units={str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions},
+        units=units,
     )
 
 

@@ -50,6 +50,7 @@ class StateSignals:
         n_hidden: How many of the inputs, the last ones, are variables that follow time (hidden_inputs.py).
         n_switches: How many of the states, the last ones, are positions of switches (switch_positions.py).
         tolerance: Relative tolerance of the FMU's solver. [1]
+        time_unit_s: How long the unit of time is that the FMU's derivatives are by. [s]
     """
 
     states: tuple[str, ...]
@@ -70,6 +71,7 @@ class StateSignals:
     n_hidden: int = 0
     n_switches: int = 0
     tolerance: float = 0.0
+    time_unit_s: float = 1.0
 
     @classmethod
     def of(cls, case: Case) -> Self:
@@ -105,6 +107,7 @@ class StateSignals:
             others,
             tuple(fmu.variables[name].unit for name in others),
             tolerance=case.settings.relative_tolerance or fmu.default_experiment.tolerance or 0.0,
+            time_unit_s=case.settings.time_unit_s,
         )
 
     @property
@@ -309,6 +312,5 @@ class WatchedModel(WrappedModel):
         # Equations are learnt in the FMU's units; a state that is an output, too, was converted.
         moved = (rows[..., self._columns] - self._offsets) / self._factors
         n = len(self.signals.states)
-        return StateRows(
-            moved[..., :n], moved[..., n : 2 * n], rows[..., : self._n_outputs], moved[..., 2 * n :]
-        )
+        slope = moved[..., n : 2 * n] / self.signals.time_unit_s
+        return StateRows(moved[..., :n], slope, rows[..., : self._n_outputs], moved[..., 2 * n :])

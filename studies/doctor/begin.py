@@ -17,8 +17,11 @@ _SAME = 1e-6
 def look_at_begin(case: Case) -> Iterator[Finding]:
     """Say where a single experiment's simulation begins, if its first sample lies elsewhere.
 
-    It is worth a look where no warm-up was asked for and more than usual steps lie between.
+    It is worth a look where no warm-up was asked for and more than usual steps lie between. What the FMU
+    counts its own time in is said if it is not seconds.
     """
+    if (unit_s := case.settings.time_unit_s) != 1.0:
+        yield finding("own-time", "ok", unit_s=unit_s)
     if said := _said(case):
         usual_s = max(float(np.median(np.diff(one.samples.time))) for one in case.outputs if one.is_measured)
         is_late = not case.scenario.n_warmup and _later_s(case) > GAP_STEPS * usual_s
