@@ -41,10 +41,15 @@ class CaseData:
         """Return the measured value of an output at the start of the simulation: the nearest in time.
 
         Raises:
-            InputError: If the nearest is further away than samples usually are.
+            InputError: If the nearest is further away than samples usually are, or samples are means.
         """
         if table.source is None:
             raise InputError(f"{table.name} is not measured; give a number")
+        if table.mean_over_s is not None:
+            raise InputError(
+                f"{table.name} is measured as means over {table.mean_over_s:g} s, which say nothing of the "
+                "start; give a number"
+            )
         file, column = table.source
         recording = self.recordings[file]
         known = np.flatnonzero(~np.isnan(recording.columns[column]))

@@ -12,6 +12,7 @@ from simulation.fmi.variable import Interface
 from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter, Scale
 from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
+from simulation.samples import MOMENT
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
 from simulation.timestamps import zone_named
 
@@ -184,6 +185,9 @@ class OutputTable(Table):
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
         file: CSV file in the folder `data`; an output with limits needs none.
         column: column of the file; an empty cell is a gap.
+        mean_over_s: length of the interval that each sample is the mean over; without it, a sample is the
+            value of a moment. Samples whose interval is not within the window are left out.
+        mean_stamp: what of the interval the time of a sample is: its end, begin or centre.
         uncertainty: standard uncertainty of the sensor; without one, of the limits. [unit]
         error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated: it weighs
             priors and intervals, and changes no error.
@@ -205,6 +209,8 @@ class OutputTable(Table):
     fmu_unit: Name | None = None
     file: Name | None = None
     column: Name | None = None
+    mean_over_s: Positive | None = None
+    mean_stamp: Literal["end", "begin", "centre"] = "end"
     uncertainty: Positive
     error_lasts_s: Positive | None = None
     correlation_time_s: Positive | None = None
@@ -234,6 +240,10 @@ class OutputTable(Table):
             raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
         if self.correlation_time_s is not None and self.loss != "squares":
             raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
+        if self.mean_stamp != "end" and self.mean_over_s is None:
+            raise ValueError(
+                "mean_stamp is of means; add mean_over_s, how long each of them goes, or drop it"
+            )
         if self.loss_scale is not None and self.loss == "squares":
             raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
         return self
@@ -242,7 +252,7 @@ class OutputTable(Table):
         """Check an output that is not measured."""
         if not self.has_limits:
             raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
-        for key in ("error_lasts_s", "correlation_time_s"):
+        for key in ("error_lasts_s", "correlation_time_s", "mean_over_s"):
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} is of a sensor, and nothing is measured; drop it")
         if isinstance(self.normalize, str):
@@ -254,6 +264,15 @@ class OutputTable(Table):
     def source(self) -> tuple[str, str] | None:
         """File and column of the measurement, None where there is none."""
         return None if self.file is None or self.column is None else (self.file, self.column)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """From when on and until when a sample says something, relative to its time. [s]."""
+        if self.mean_over_s is None:
+            return MOMENT
+        # What of the interval lies after the stamp.
+        after_s = {"end": 0.0, "begin": 1.0, "centre": 0.5}[self.mean_stamp] * self.mean_over_s
+        return after_s - self.mean_over_s, after_s
 
     @property
     def has_limits(self) -> bool:

@@ -54,5 +54,5 @@ def _said(case: Case) -> str:
 
 def _later_s(case: Case) -> float:
     """Return how long after the begin of the simulation the first compared sample lies. [s]."""
-    first_s = min(float(one.samples.time[0]) for one in case.outputs if one.is_measured)
+    first_s = min(one.samples.begin_s for one in case.outputs if one.is_measured)
     return first_s - float(case.scenario.time_communication[0])

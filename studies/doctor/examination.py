@@ -20,6 +20,7 @@ from studies.console import format_seconds
 from studies.doctor.begin import look_at_begin
 from studies.doctor.declared import look_at_data, look_at_declaration
 from studies.doctor.finding import STOPPED, Diagnosis, Finding, finding, named
+from studies.doctor.means import look_at_means, rows_for_means
 from studies.doctor.names import look_at_names
 from studies.physical_model import open_physical_model
 from studies.stages.pipeline import Study
@@ -70,6 +71,7 @@ class _Examination:
         self._study, self._case, policy = study, study.case, study.case.policy
         self._base = study.case.parameter_space.expected
         n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
+        self._covering: Trajectories | None = None
         self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s)
 
     def simulated(self) -> Generator[list[Finding]]:
@@ -100,6 +102,7 @@ class _Examination:
                         yield [answers.look_at_order(later, other.simulate(later.theta))]
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
+            yield self._means()
         yield list(self._costs())
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
@@ -115,7 +118,8 @@ class _Examination:
                 yield [answers.look_at_corners(self._in_pieces(model, points[:n], what))]
             points, what = answers.coverage_points(case), "coverage of the measurement"
             if n := budget.rows(what, len(points), 8):
-                yield [answers.look_at_coverage(case, self._in_pieces(model, points[:n], what))]
+                self._covering = self._in_pieces(model, points[:n], what)
+                yield [answers.look_at_coverage(case, self._covering)]
 
     def _in_pieces(self, model: ForwardModel, theta: FloatArray, what: str) -> Trajectories:
         """Simulate until the time is over, at least one piece: rows that hang must not eat up hours."""
@@ -162,6 +166,14 @@ class _Examination:
             changed = answer.take(np.arange(2, 2 + len(asked)))
             findings.append(answers.look_at_inputs(asked, nominal, changed))
         return findings
+
+    def _means(self) -> list[Finding]:
+        """Look whether samples are means, once all else is known: that takes the most simulations."""
+        case, budget, n = self._case, self.budget, rows_for_means(self._case)
+        if self._covering is None or not n or not budget.rows("means or moments", n, n, at_once=False):
+            return []
+        with open_physical_model(self._study, policy=self._policy(budget.usual_s)) as stored:
+            return list(look_at_means(case, _StoringModel(stored), self._covering))
 
     def _costs(self) -> Iterator[Finding]:
         """Say what a simulation takes, and name a time-out that is near to it."""
