@@ -10,10 +10,11 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.errors import InputError
-from simulation.recording import FIRST_LINE, Recording, read_recording
+from simulation.recording import Recording, read_recording
 from simulation.scenario import covers
 from simulation.time_unit import HOURS
 from simulation.timestamps import FIRST, zero_of, zone_named
+from simulation.units import in_si
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
@@ -98,7 +99,7 @@ class CaseData:
         is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
             # The line after the last value: its cell is empty, or its time is too late.
-            line = int(np.flatnonzero(known)[row]) + 1 + FIRST_LINE
+            line = int(np.flatnonzero(known)[row]) + 1 + recording.first_line
             raise InputError(
                 f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
                 f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "
@@ -160,10 +161,25 @@ def read_columns(
             list(dict.fromkeys(wanted)),
             time_column=file.time_column,
             timezone=file.timezone,
+            stamps=file.stamps,
             if_missing=if_missing,
         )
         for name, wanted in columns.items()
     }
+
+
+def _check_units(file: CaseFile, recordings: dict[str, Recording]) -> None:
+    """Check that lines of units in the recordings say what the case says."""
+    tables = [(f"inputs[{one.name}]", one.file, one.column, one.unit) for one in file.inputs]
+    tables += [(f"outputs[{one.name}]", one.file or "", one.column, one.unit) for one in file.outputs]
+    for where, name, column, unit in tables:
+        # A sum of columns has a unit of its own.
+        said = recordings[name].units.get(column) if column and name in recordings else None
+        if said is not None and in_si(said) != in_si(unit):
+            raise InputError(
+                f'{where}: unit = "{unit}", but line {recordings[name].first_line - 1} of '
+                f'{recordings[name].path} says "{said}" of column {column}; correct one of the two'
+            )
 
 
 def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str = "") -> CaseData:
@@ -175,7 +191,7 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
         leading: Name of the one whose first row may be time 0; "" for the first output's.
 
     Raises:
-        InputError: If their times do not belong together.
+        InputError: If their times do not belong together, or their units are not the case's.
     """
     used = list(dict.fromkeys(recording.time_column for recording in recordings.values()))
     if file.time_column is not None and file.time_column not in used:
@@ -183,6 +199,7 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
             f'time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
             f"stand in {', '.join(used)}; correct it, or drop the key"
         )
+    _check_units(file, recordings)
     first = recordings[leading or next(one.file for one in file.outputs if one.file is not None)]
     for recording in recordings.values():
         if recording.clock != first.clock:
@@ -193,5 +210,5 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
     counts_seconds = first.clock == "seconds" and file.time.zero is None
     zero_s = 0.0 if counts_seconds else float(first.time[0])
     if file.time.zero not in (None, FIRST):
-        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone))
+        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone), file.stamps)
     return CaseData({name: one.since(zero_s) for name, one in recordings.items()}, counts_seconds)

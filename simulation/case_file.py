@@ -14,7 +14,7 @@ from simulation.parameters import Belief, Parameter, Scale
 from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
 from simulation.samples import MOMENT
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
-from simulation.timestamps import zone_named
+from simulation.timestamps import StampForm, zone_named
 
 
 def _without_control(name: str) -> str:
@@ -471,6 +471,9 @@ class CaseFile(Table):
         time_column: column of the times; without it, `time_s` or `time`.
         timezone: zone of timestamps without an offset, as "Europe/Berlin"; without it, their clock
             is never set forward or back.
+        time_format: how timestamps are written, in codes of Python's strptime, as "%m/%d %H:%M:%S"; without
+            it, ISO 8601 or day.month.year.
+        year: year of timestamps that have none; without it, one of 365 days.
         time: the window, steps and validation.
         inputs: inputs that recordings drive.
         outputs: outputs that are compared with measurements.
@@ -495,6 +498,8 @@ class CaseFile(Table):
     data_origin: str = ""
     time_column: Name | None = None
     timezone: Name | None = None
+    time_format: Name | None = None
+    year: Annotated[int, Field(ge=1, le=9998)] | None = None
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
@@ -509,6 +514,7 @@ class CaseFile(Table):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         zone_named(self.timezone)
+        self._check_stamps()
         tables = {"inputs": self.inputs, "outputs": self.outputs, "parameters": self.parameters}
         declared = Counter(f"{key}[{table.name}]" for key in tables for table in tables[key])
         for key, n in declared.items():
@@ -529,3 +535,23 @@ class CaseFile(Table):
                 also = "[fixed]" if name in self.fixed else "[[parameters]]"
                 raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self
+
+    @property
+    def stamps(self) -> StampForm | None:
+        """How timestamps are written, None for the usual forms."""
+        if self.time_format is None:
+            return None
+        return StampForm(self.time_format) if self.year is None else StampForm(self.time_format, self.year)
+
+    def _check_stamps(self) -> None:
+        """Check what says how timestamps are written."""
+        form = self.stamps
+        if form is not None:
+            try:
+                form.check()
+            except ValueError as error:
+                raise ValueError(f'time_format = "{form.text}" {error}') from None
+        if self.year is not None and (form is None or form.has_year):
+            raise ValueError(
+                f'year = {self.year} is of a time_format without a year, like "%m/%d %H:%M"; drop it'
+            )
