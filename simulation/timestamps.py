@@ -69,7 +69,7 @@ class StampForm:
         except ValueError:
             is_same = False
         if not is_same:
-            raise ValueError('does not tell the day; write codes of strptime, like "%m/%d/%Y %H:%M"')
+            raise ValueError('has no day; write codes of strptime, like "%m/%d/%Y %H:%M"')
 
 
 def read_timestamps(

@@ -1,4 +1,4 @@
-"""Cases around one state with a closed form, x' = -k x + u, whose recordings tell of known parameters."""
+"""Cases around one state with a closed form, x' = -k x + u, recorded with known parameters."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

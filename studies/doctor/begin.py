@@ -15,7 +15,7 @@ _SAME = 1e-6
 
 
 def look_at_begin(case: Case) -> Iterator[Finding]:
-    """Say where a single experiment's simulation begins, if its first sample lies elsewhere.
+    """Say where a single experiment's simulation begins, if it is not where its first sample lies.
 
     It is worth a look where no warm-up was asked for and more than usual steps lie between. What the FMU
     counts its own time in is said if it is not seconds.

@@ -32,7 +32,7 @@ STAMPS = {"end": (-1.0, 0.0), "begin": (0.0, 1.0), "centre": (-0.5, 0.5)}
 
 
 def rows_for_means(case: Case) -> int:
-    """Return how many simulations looking for means takes at most, 0 where samples can be no means."""
+    """Return how many simulations the fits to means take at most, 0 where samples can be no means."""
     n_parameters = case.parameter_space.n_parameters
     n_samples = sum(len(one.samples.time) for one in case.outputs if one.is_measured)
     is_long = n_samples > 2 * n_parameters and bool(_lengths_s(case))

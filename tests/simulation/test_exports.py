@@ -112,8 +112,8 @@ def test_a_zero_may_be_written_like_the_timestamps(tmp_path: Path):
             datetime(2023, 2, 28), "%m/%d/%Y %H:%M", 'time_format = "%d/%m/%Y %H:%M"',
             "'02/28/2023 00:00' is not written like time_format = \"%d/%m/%Y %H:%M\"; correct one of the two",
         ),
-        (datetime(2023, 2, 28), "%m/%d/%Y", 'time_format = "%H:%M"', "does not tell the day; write codes of"),
-        (datetime(2023, 2, 28), "%m/%d/%Y", 'time_format = "%Q"', "does not tell the day; write codes of"),
+        (datetime(2023, 2, 28), "%m/%d/%Y", 'time_format = "%H:%M"', "has no day; write codes of"),
+        (datetime(2023, 2, 28), "%m/%d/%Y", 'time_format = "%Q"', "has no day; write codes of"),
         (datetime(2023, 2, 28), "%m/%d/%Y", "year = 2023", "year = 2023 is of a time_format without a year"),
         (
             datetime(2023, 2, 28), "%m/%d/%Y", 'year = 2023\ntime_format = "%m/%d/%Y"',

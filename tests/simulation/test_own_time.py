@@ -84,7 +84,7 @@ def test_a_unit_that_the_fmu_defines_is_its_own(decay_case: Path):
         ("m", ""),
         ("1", ""),
         ("tick", ""),
-        # An hour of one second: its exporter forgot the factor, or means another thing.
+        # An hour of one second: its exporter forgot the factor, or means ticks.
         ("h", '<Unit name="h"><BaseUnit s="1"/></Unit>'),
         ("s-1", ""),
     ],
@@ -117,7 +117,7 @@ def test_a_unit_that_contradicts_or_is_no_time_is_refused(decay_case: Path, key:
     load_case(decay_case)
 
 
-def test_a_failure_is_told_in_seconds(decay_case: Path):
+def test_a_failure_is_said_in_seconds(decay_case: Path):
     declare(decay_case, "min")
     # The FMU gives up from 30,000 of its minutes on.
     edit(decay_case, ("window_d = [0.25, 0.75]", "window_d = [0, 0.5]"))

@@ -48,7 +48,7 @@ def found(file: Path) -> list[Finding]:
 
 @pytest.mark.parametrize("stamp", OFFSETS)
 @pytest.mark.parametrize("length_s", [3600.0, 5400.0])
-def test_means_tell_the_truth(tmp_path: Path, stamp: str, length_s: float) -> None:
+def test_the_truth_is_found_from_means(tmp_path: Path, stamp: str, length_s: float) -> None:
     key = f"mean_over_s = {length_s:g}" + f'\nmean_stamp = "{stamp}"' * (stamp != "end")
     k, x0, rms = fitted(written(tmp_path, stamp, key, length_s=length_s))
     assert rms < 2.0 * NOISE_K
