@@ -28,6 +28,7 @@ from simulation.errors import InputError, errors_at
 from simulation.experiments import ExperimentRows, ExperimentsModel
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
+from simulation.fmi.own_time import own_unit_s
 from simulation.fmi.variable import Value
 from simulation.layout import MARK, Experiment, Layout, joined_measurement
 from simulation.measurement import MeasuredOutput, Measurement
@@ -158,6 +159,7 @@ class Case:
         """What decides answers and has a name; what the case leaves as usual is left out."""
         chosen = {name: getattr(self.settings, name) for name in _CHOSEN}
         chosen |= {"ties": [(one.name, one.expression) for one in self.settings.ties] or None}
+        chosen |= {"time_unit_s": self.settings.time_unit_s if self.settings.time_unit_s != 1.0 else None}
         chosen |= {"watched": list(self.watched) or None, "said_units": dict(self.said_units) or None}
         return {
             "fmu": self.fmu.sha256,
@@ -426,6 +428,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),
         parameter_offsets=_unless(0.0, [one.offset for one in parameters]),
         ties=ties(file, fmu),
+        time_unit_s=own_unit_s(fmu.variables, fmu.units, file.time.fmu_unit, fmu.path.name),
     )
     return Case(
         name=file.name,

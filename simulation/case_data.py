@@ -10,14 +10,16 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.errors import InputError
-from simulation.recording import FIRST_LINE, Recording, read_recording
+from simulation.recording import Recording, read_recording
 from simulation.scenario import covers
 from simulation.time_unit import HOURS
-from simulation.timestamps import zero_of, zone_named
+from simulation.timestamps import FIRST, zero_of, zone_named
+from simulation.units import in_si
 from simulation.write_gate import follows_links
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
+FROM_FIRST_ROW = f'zero = "{FIRST}" in [time] counts from the first row instead'
 _CLOCKS = {
     "seconds": "counts seconds",
     "local": "has timestamps without an offset from UTC",
@@ -30,21 +32,26 @@ class CaseData:
     """All recordings of a case, with times on one axis.
 
     Attributes:
-        recordings: By their names in the case file, on one time axis.
-        day_zero_s: Model time at which the days of the case file begin to count. [s]
+        recordings: By their names in the case file; their times are the model's.
+        counts_seconds: Whether the times are those of the files, which count seconds from a zero of theirs.
     """
 
     recordings: dict[str, Recording]
-    day_zero_s: float
+    counts_seconds: bool
 
     def first_measured(self, table: OutputTable, start_s: float) -> float:
         """Return the measured value of an output at the start of the simulation: the nearest in time.
 
         Raises:
-            InputError: If the nearest is further away than samples usually are.
+            InputError: If the nearest is further away than samples usually are, or samples are means.
         """
         if table.source is None:
             raise InputError(f"{table.name} is not measured; give a number")
+        if table.mean_over_s is not None:
+            raise InputError(
+                f"{table.name} is measured as means over {table.mean_over_s:g} s, which say nothing of the "
+                "start; give a number"
+            )
         file, column = table.source
         recording = self.recordings[file]
         known = np.flatnonzero(~np.isnan(recording.columns[column]))
@@ -81,9 +88,11 @@ class CaseData:
             remedy = "choose another window, or record longer"
             if len(time) and (time[0] > edges[-1] or time[-1] < edges[0]):
                 remedy = "no moment is in both; correct the times of this file or of the first output's"
-            raise InputError(
-                f"{recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; {remedy}"
-            )
+            elif len(time) and time[0] > edges[0]:
+                remedy = "begin the simulation later, or record from its begin on"
+                remedy += f"; {FROM_FIRST_ROW}" * self.counts_seconds
+            needs = f"the simulation needs {edges[0]:.12g} to {edges[-1]:.12g} s"
+            raise InputError(f"{recording.path} {held}, {needs}; {remedy}")
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         # A held value is needed until the window ends, the others as far as the next sample.
         ends = np.minimum(time[1:], edges[-1]) if table.interpolation == "held" else time[1:]
@@ -91,7 +100,7 @@ class CaseData:
         is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
             # The line after the last value: its cell is empty, or its time is too late.
-            line = int(np.flatnonzero(known)[row]) + 1 + FIRST_LINE
+            line = int(np.flatnonzero(known)[row]) + 1 + recording.first_line
             raise InputError(
                 f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
                 f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "
@@ -167,11 +176,26 @@ def read_columns(
             list(dict.fromkeys(wanted)),
             time_column=file.time_column,
             timezone=file.timezone,
+            stamps=file.stamps,
             if_missing=if_missing,
             is_quoted=is_quoted(place_of(name)),
         )
         for name, wanted in columns.items()
     }
+
+
+def _check_units(file: CaseFile, recordings: dict[str, Recording]) -> None:
+    """Check that lines of units in the recordings say what the case says."""
+    tables = [(f"inputs[{one.name}]", one.file, one.column, one.unit) for one in file.inputs]
+    tables += [(f"outputs[{one.name}]", one.file or "", one.column, one.unit) for one in file.outputs]
+    for where, name, column, unit in tables:
+        # A sum of columns has a unit of its own.
+        said = recordings[name].units.get(column) if column and name in recordings else None
+        if said is not None and in_si(said) != in_si(unit):
+            raise InputError(
+                f'{where}: unit = "{unit}", but line {recordings[name].first_line - 1} of '
+                f'{recordings[name].path} says "{said}" of column {column}; correct one of the two'
+            )
 
 
 def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str = "") -> CaseData:
@@ -180,10 +204,10 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
     Args:
         file: The case file's content.
         recordings: The recordings by their names in it.
-        leading: Name of the one whose first row is time 0 of timestamps; "" for the first output's.
+        leading: Name of the one whose first row may be time 0; "" for the first output's.
 
     Raises:
-        InputError: If their times do not belong together.
+        InputError: If their times do not belong together, or their units are not the case's.
     """
     used = list(dict.fromkeys(recording.time_column for recording in recordings.values()))
     if file.time_column is not None and file.time_column not in used:
@@ -191,6 +215,7 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
             f'time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
             f"stand in {', '.join(used)}; correct it, or drop the key"
         )
+    _check_units(file, recordings)
     first = recordings[leading or next(one.file for one in file.outputs if one.file is not None)]
     for recording in recordings.values():
         if recording.clock != first.clock:
@@ -198,9 +223,8 @@ def on_one_axis(file: CaseFile, recordings: dict[str, Recording], leading: str =
                 f"{recording.path} {_CLOCKS[recording.clock]} and {first.path} {_CLOCKS[first.clock]}; "
                 "write the times of all files alike"
             )
-    zero_s = float(first.time[0])
-    if file.time.zero is not None:
-        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone))
-    elif first.clock == "seconds":
-        return CaseData(recordings, zero_s)
-    return CaseData({name: one.since(zero_s) for name, one in recordings.items()}, 0.0)
+    counts_seconds = first.clock == "seconds" and file.time.zero is None
+    zero_s = 0.0 if counts_seconds else float(first.time[0])
+    if file.time.zero not in (None, FIRST):
+        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone), file.stamps)
+    return CaseData({name: one.since(zero_s) for name, one in recordings.items()}, counts_seconds)

@@ -12,8 +12,9 @@ from simulation.fmi.variable import Interface
 from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter, Scale
 from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
+from simulation.samples import MOMENT
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
-from simulation.timestamps import zone_named
+from simulation.timestamps import StampForm, zone_named
 
 
 def _without_control(name: str) -> str:
@@ -91,8 +92,9 @@ def _in_days(
 class TimeTable(_WindowTable):
     """Key [time]: periods in days or, all of them, in seconds; steps in seconds.
 
-    They count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
-    which is the model's time 0 as well. Write `window_d` or `window_s`, and the other periods like it.
+    They count from the model's time 0. Of a column of seconds, minutes, hours or days it is the 0 of the
+    column; of timestamps it is the first row of the first output's file. `zero` names another moment. Write
+    `window_d` or `window_s`, and the other periods like it.
 
     Attributes:
         window_d: begin and end of what is calibrated.
@@ -101,7 +103,9 @@ class TimeTable(_WindowTable):
         start_s: the same in seconds.
         validation_d: begin and end of a part that is not calibrated, to try the result on.
         validation_s: the same in seconds.
-        zero: the timestamp of time 0, for recordings with timestamps.
+        zero: the timestamp of time 0, for recordings with timestamps; or "first" for the first row of the
+            first output's file.
+        fmu_unit: unit of the FMU's own time, as "h", where the FMU declares none; without it, seconds.
         communication_step_s: step of a co-simulation, over which its inputs are held.
         output_step_s: step of the outputs, a multiple of the communication step.
     """
@@ -111,6 +115,7 @@ class TimeTable(_WindowTable):
     validation_d: Pair | None = None
     validation_s: Pair | None = None
     zero: Annotated[Name, BeforeValidator(_as_text)] | None = None
+    fmu_unit: Name | None = None
     communication_step_s: Positive
     output_step_s: Positive
 
@@ -180,6 +185,9 @@ class OutputTable(Table):
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
         file: CSV file in the folder `data`; an output with limits needs none.
         column: column of the file; an empty cell is a gap.
+        mean_over_s: length of the interval that each sample is the mean over; without it, a sample is the
+            value of a moment. Samples whose interval is not within the window are left out.
+        mean_stamp: what of the interval the time of a sample is: its end, begin or centre.
         uncertainty: standard uncertainty of the sensor; without one, of the limits. [unit]
         error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated: it weighs
             priors and intervals, and changes no error.
@@ -201,6 +209,8 @@ class OutputTable(Table):
     fmu_unit: Name | None = None
     file: Name | None = None
     column: Name | None = None
+    mean_over_s: Positive | None = None
+    mean_stamp: Literal["end", "begin", "centre"] = "end"
     uncertainty: Positive
     error_lasts_s: Positive | None = None
     correlation_time_s: Positive | None = None
@@ -230,6 +240,10 @@ class OutputTable(Table):
             raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
         if self.correlation_time_s is not None and self.loss != "squares":
             raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
+        if self.mean_stamp != "end" and self.mean_over_s is None:
+            raise ValueError(
+                "mean_stamp is of means; add mean_over_s, how long each of them goes, or drop it"
+            )
         if self.loss_scale is not None and self.loss == "squares":
             raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
         return self
@@ -238,7 +252,7 @@ class OutputTable(Table):
         """Check an output that is not measured."""
         if not self.has_limits:
             raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
-        for key in ("error_lasts_s", "correlation_time_s"):
+        for key in ("error_lasts_s", "correlation_time_s", "mean_over_s"):
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} is of a sensor, and nothing is measured; drop it")
         if isinstance(self.normalize, str):
@@ -250,6 +264,15 @@ class OutputTable(Table):
     def source(self) -> tuple[str, str] | None:
         """File and column of the measurement, None where there is none."""
         return None if self.file is None or self.column is None else (self.file, self.column)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """From when on and until when a sample says something, relative to its time. [s]."""
+        if self.mean_over_s is None:
+            return MOMENT
+        # What of the interval lies after the stamp.
+        after_s = {"end": 0.0, "begin": 1.0, "centre": 0.5}[self.mean_stamp] * self.mean_over_s
+        return after_s - self.mean_over_s, after_s
 
     @property
     def has_limits(self) -> bool:
@@ -449,6 +472,9 @@ class CaseFile(Table):
         time_column: column of the times; without it, `time_s` or `time`.
         timezone: zone of timestamps without an offset, as "Europe/Berlin"; without it, their clock
             is never set forward or back.
+        time_format: how timestamps are written, in codes of Python's strptime, as "%m/%d %H:%M:%S"; without
+            it, ISO 8601 or day.month.year.
+        year: year of timestamps that have none; without it, one of 365 days.
         time: the window, steps and validation.
         inputs: inputs that recordings drive.
         outputs: outputs that are compared with measurements.
@@ -473,6 +499,8 @@ class CaseFile(Table):
     data_origin: str = ""
     time_column: Name | None = None
     timezone: Name | None = None
+    time_format: Name | None = None
+    year: Annotated[int, Field(ge=1, le=9998)] | None = None
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
@@ -487,6 +515,7 @@ class CaseFile(Table):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         zone_named(self.timezone)
+        self._check_stamps()
         tables = {"inputs": self.inputs, "outputs": self.outputs, "parameters": self.parameters}
         declared = Counter(f"{key}[{table.name}]" for key in tables for table in tables[key])
         for key, n in declared.items():
@@ -507,3 +536,23 @@ class CaseFile(Table):
                 also = "[fixed]" if name in self.fixed else "[[parameters]]"
                 raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self
+
+    @property
+    def stamps(self) -> StampForm | None:
+        """How timestamps are written, None for the usual forms."""
+        if self.time_format is None:
+            return None
+        return StampForm(self.time_format) if self.year is None else StampForm(self.time_format, self.year)
+
+    def _check_stamps(self) -> None:
+        """Check what says how timestamps are written."""
+        form = self.stamps
+        if form is not None:
+            try:
+                form.check()
+            except ValueError as error:
+                raise ValueError(f'time_format = "{form.text}" {error}') from None
+        if self.year is not None and (form is None or form.has_year):
+            raise ValueError(
+                f'year = {self.year} is of a time_format without a year, like "%m/%d %H:%M"; drop it'
+            )

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.case_data import CaseData
+from simulation.case_data import FROM_FIRST_ROW, CaseData
 from simulation.case_file import CaseFile, OutputTable
 from simulation.errors import InputError, errors_at
 from simulation.limits import Limits
 from simulation.measurement import MeasuredOutput, Measurement
 from simulation.recording import Recording
-from simulation.samples import Samples
+from simulation.samples import MOMENT, Samples
 from simulation.time_unit import DAY_S, TimeUnit
 
 MOST_STEPS = 10_000_000
@@ -122,20 +122,38 @@ def time_grid(file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArra
     n_reported = _whole_steps(end_d - begin_d, output_step, period.said)
     start_said = f"time.start_{unit.symbol} = {unit.of_days(start_d):g}"
     n_warmup = _whole_steps(begin_d - start_d, output_step, start_said)
-    longest = max(
-        (data.recordings[table.file] for table in file.outputs if table.file is not None),
-        key=lambda one: float(one.time[-1]),
+    # The interval of a mean may go on beyond its stamp.
+    ends_s, longest = max(
+        (
+            (float(data.recordings[table.file].time[-1]) + table.interval[1], data.recordings[table.file])
+            for table in file.outputs
+            if table.file is not None
+        ),
+        key=lambda one: one[0],
     )
-    length_d = (longest.time[-1] - data.day_zero_s) / DAY_S
+    length_d = ends_s / DAY_S
     # Where samples are not taken evenly, the last of a period comes a little before its end.
     slack_d = 0.0 if longest.is_even else longest.step_s / DAY_S
     if end_d > length_d + slack_d + 1e-9:
         raise InputError(
             f"{period.said}: the recording {longest.path} ends at {unit.moment(length_d)}; shorten the window"
         )
-    start = data.day_zero_s + start_d * DAY_S
+    _check_begin_in_time(file, data, period)
+    start = start_d * DAY_S
     n_steps = (n_warmup + n_reported) * output_every
     return start + step * np.arange(n_steps + 1, dtype=np.float64), output_every, n_warmup
+
+
+def _check_begin_in_time(file: CaseFile, data: CaseData, period: Period) -> None:
+    """Check that what is measured begins within a period: Unix seconds do not."""
+    for name in dict.fromkeys(table.file for table in file.outputs if table.file is not None):
+        recording = data.recordings[name]
+        first_d = float(recording.time[0]) / DAY_S
+        if data.counts_seconds and first_d > period.reported_d[1]:
+            raise InputError(
+                f"{period.said} ends before {recording.path} begins, at {file.time.unit.moment(first_d)}; "
+                f"choose a later window, or: {FROM_FIRST_ROW}"
+            )
 
 
 def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -> Measurement:
@@ -163,7 +181,9 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
             else:
                 recording, column = data.recordings[table.source[0]], table.source[1]
                 said = file.time.unit.period(period.compared_d)
-                one = _samples(recording, column, (begin_s, float(time[-1])), seen_s, said)
+                one = _samples(
+                    recording, column, (begin_s, float(time[-1])), seen_s, said, interval=table.interval
+                )
                 low, high = table.accepted or (-math.inf, math.inf)
                 for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
                     raise InputError(
@@ -213,21 +233,33 @@ def _weight(table: OutputTable, samples: Samples) -> float:
 
 
 def _samples(
-    recording: Recording, column: str, period_s: tuple[float, float], seen_s: float, said: str
+    recording: Recording,
+    column: str,
+    period_s: tuple[float, float],
+    seen_s: float,
+    said: str,
+    *,
+    interval: tuple[float, float],
 ) -> Samples:
-    """Return what was measured in a period [s], but for a moment seen already [s]; gaps have no sample."""
+    """Return what was measured in a period [s], but for a moment seen already [s]; gaps have no sample.
+
+    A mean is of the period in which the whole of its interval lies, relative to its time [s].
+    """
     values, slack = recording.columns[column], 1e-6 * recording.step_s
-    begin_s, end_s = period_s
+    begin_s, end_s = period_s[0] - interval[0], period_s[1] - interval[1]
     inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
-    inside &= ~(np.abs(recording.time - seen_s) <= slack)
+    if interval == MOMENT:
+        inside &= ~(np.abs(recording.time - seen_s) <= slack)
     n_samples = np.count_nonzero(inside)
     if n_samples < 2:
+        values_of = f"{n_samples} {'value' if n_samples else 'values'} of {column}"
+        means = "" if interval == MOMENT else f" (each a mean over {interval[1] - interval[0]:g} s)"
         raise InputError(
-            f"{recording.path} has {n_samples} {'value' if n_samples else 'values'} of {column} over {said}, "
-            "2 are needed; choose another window, or correct the file"
+            f"{recording.path} has {values_of}{means} over {said}, 2 are needed; choose another window, or "
+            "correct the file"
         )
     # A sample that a rounding puts outside belongs to the first or last output time.
-    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside])
+    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside], interval)
 
 
 def _as_key(key: str, days: tuple[float, float], unit: TimeUnit) -> str:

@@ -9,7 +9,7 @@ from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.correlated_error import coloured, correlations, whitened
 from simulation.limits import Limits
 from simulation.robust_loss import RobustLoss
-from simulation.samples import Place, Samples, place_of
+from simulation.samples import MeanPlace, Place, Samples, place_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Measurement:
         MSE = sum_k w_k / sum_k w_k * mean_i (s_1 / s_k * (simulated_ki - measured_ki))^2
 
     in the first output's unit squared: every output has the same say per weight, however often it was
-    sampled.
+    sampled. A sample that is a mean over an interval is compared with the mean of these lines over it.
     For one output, or outputs sampled alike with weights of 1, this is the mean of all squared residuals.
     For an output with a robust loss, the square of the difference is replaced by its loss: the error is then
     a mean loss.
@@ -155,6 +155,8 @@ class Measurement:
         """Measured values at the output times, NaN where no sample was taken. Shape (t, k). [per output]."""
         y = np.full((len(self.time), len(self.outputs)), np.nan)
         for k, (one, place) in enumerate(zip(self.outputs, self._places, strict=False)):
+            if isinstance(place, MeanPlace):
+                continue
             on = (place.share == 0.0) | (place.share == 1.0)
             y[place.before[on] + place.share[on].astype(np.int64), k] = one.samples.values[on]
         return y
@@ -170,14 +172,14 @@ class Measurement:
         return targets
 
     @cached_property
-    def _places(self) -> tuple[Place, ...]:
+    def _places(self) -> tuple[Place | MeanPlace, ...]:
         """Where the samples of the targets lie among the output times."""
-        return tuple(place_of(self.time, one.samples.time) for _, one in self._targets)
+        return tuple(one.samples.place_on(self.time) for _, one in self._targets)
 
     @property
     def from_first_sample(self) -> "Measurement":
         """The same, without the output times that lie before the first sample."""
-        first_s = min(float(one.samples.time[0]) for _, one in self._targets)
+        first_s = min(one.samples.begin_s for _, one in self._targets)
         first = int(np.searchsorted(self.time, first_s, side="right")) - 1
         return replace(self, time=self.time[max(first, 0) :])
 
@@ -332,11 +334,14 @@ class Measurement:
         if np.any(self.weights != 1.0):
             arrays.append(self.weights)
         # Samples on the output times are in y.
-        if any((place.share % 1.0).any() for place in self._places[: len(self.outputs)]):
+        its = self._places[: len(self.outputs)]
+        if any(isinstance(place, MeanPlace) or (place.share % 1.0).any() for place in its):
             arrays += [array for one in self.outputs for array in (one.samples.time, one.samples.values)]
         losses, limits = (tuple(getattr(one, key) for one in self.outputs) for key in ("loss", "limits"))
         lasts_s = [one.correlation_s for one in self.outputs]
         named = repr((self.output_names, self.y.shape)) + (repr(losses) if any(losses) else "")
         if any(lasts_s) or any(limits):
             named += repr((lasts_s if any(lasts_s) else None, limits if any(limits) else ()))
+        if any(one.samples.are_means for one in self.outputs):
+            named += repr([one.samples.interval for one in self.outputs])
         return digest_of(named, *arrays)

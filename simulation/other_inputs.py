@@ -19,7 +19,8 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
     """Return the settings of a case's model for the whole time of another recording of its inputs.
 
     The simulation starts with the first row, with the start values and the fixed values of the case. Times in
-    seconds are the model's own. Timestamps count from the case's `zero`, or from the first row.
+    seconds are the model's own, unless the case has `zero = "first"`. Timestamps count from the case's
+    `zero`, or from the first row.
 
     Args:
         case: The case.

@@ -1,23 +1,22 @@
 """Recorded series in CSV files: read once, checked cell by cell, every fault named with its line."""
 
-import csv
-import io
 import math
 import re
-import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.csv_table import CsvTable, composed, read_table, units_line
 from simulation.errors import InputError, errors_at
 from simulation.foreign_file import RECORDING, read_limited
 from simulation.foreign_text import quoted, shortened
 from simulation.time_unit import UNITS
-from simulation.timestamps import Clock, read_timestamps, zone_named
+from simulation.timestamps import Clock, StampForm, read_timestamps, zone_named
+from simulation.units import in_si
 from simulation.write_gate import FOLLOW_VARIABLE
 
 TIME_COLUMN = "time_s"
@@ -34,7 +33,6 @@ _DURATIONS = {"_s": 1.0} | {
     f"{left}{unit.symbol}{right}": unit.seconds for unit in UNITS.values() for left, right in ("[]", "()")
 }
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-FIRST_LINE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +46,8 @@ class Recording:
         clock: What the times count from: "seconds" as the file says, "local" a clock without time zone,
             "utc" timestamps with one; the last two in seconds since 1970.
         time_column: Column that the times were read from.
+        first_line: Number of the line of the first sample.
+        units: Units that a line after the header says, by the names of the columns.
     """
 
     path: Path
@@ -55,6 +55,8 @@ class Recording:
     columns: dict[str, FloatArray]
     clock: Clock = "seconds"
     time_column: str = TIME_COLUMN
+    first_line: int = 2
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def step_s(self) -> float:
@@ -77,6 +79,7 @@ def read_recording(
     *,
     time_column: str | None = None,
     timezone: str | None = None,
+    stamps: StampForm | None = None,
     if_missing: str = "",
     is_quoted: bool = True,
 ) -> Recording:
@@ -84,7 +87,7 @@ def read_recording(
 
     Commas, semicolons or tabulators separate the cells; with the latter two, a decimal comma is read.
     Times are seconds in a column whose name ends with `_s`, `[s]` or `(s)`, another unit's where it ends with
-    `[min]`, `[h]` or `[d]`, else timestamps.
+    `[min]`, `[h]` or `[d]`, or where a line of units after the header says so; else timestamps.
 
     Args:
         path: The file.
@@ -92,6 +95,7 @@ def read_recording(
         time_column: Name of the time column; None for `time_s` or `time`, whichever is there.
         timezone: Where the clock of timestamps without an offset hangs, e.g. "Europe/Berlin"; None for a
             clock that is never set forward or back.
+        stamps: How timestamps are written; None for the usual forms.
         if_missing: What to do where there is no such file; "" for the general advice.
         is_quoted: Whether a message may quote what the file holds.
 
@@ -105,29 +109,34 @@ def read_recording(
     remedy = if_missing or "put the recording there or correct `data` and `file`"
     content = read_limited(path, RECORDING, if_missing=f"it needs the columns {needed}; {remedy}")
     with errors_at(path) if is_quoted else _unquoted(path, needed):
-        rows, delimiter = _rows(content)
-        # An umlaut may be one character or two.
-        header = [_composed(cell) for cell in rows[0]]
-        asked = {name: _composed(name) for name in column_names}
-        time_name = _time_column(header, time_column and _composed(time_column))
-        cells = _cells(rows, header, [time_name, *asked.values()], delimiter)
-        unit_s = next((length for end, length in _DURATIONS.items() if time_name.endswith(end)), None)
+        asked = {name: composed(name) for name in column_names}
+        wanted = time_column and composed(time_column)
+        time_names = [*filter(None, (wanted, TIME_COLUMN, STAMP_COLUMN))]
+        table = read_table(content, time_names, [*asked.values()])
+        time_name = _time_column(table.header, wanted)
+        cells = _cells(table, [time_name, *asked.values()])
+        units = units_line(cells, time_name)
+        if units is not None:
+            table = replace(table, rows=table.rows[1:], first_line=table.first_line + 1)
+            cells = _cells(table, [time_name, *asked.values()])
+        reader = _Reader(table, cells)
+        unit_s = _unit_of_durations(time_name, (units or {}).get(time_name))
         numbers = {name: cells[name] for name in cells if unit_s is not None or name != time_name}
-        has_commas = delimiter != "," and _has_decimal_commas(numbers)
+        has_commas = table.delimiter != "," and reader.has_decimal_commas(numbers)
         clock: Clock = "seconds"
         if unit_s is not None:
-            time = unit_s * _numbers(time_name, cells[time_name], has_commas=has_commas)
+            time = unit_s * reader.numbers(time_name, has_commas=has_commas)
             for row in np.flatnonzero(np.isnan(time))[:1]:
-                raise InputError(f"{_place(row, time_name)}: the time is missing; add it")
+                raise InputError(f"{reader.place(row, time_name)}: the time is missing; add it")
         else:
             time, clock = read_timestamps(
-                cells[time_name], zone_named(timezone), lambda row: _place(row, time_name)
+                cells[time_name], zone_named(timezone), lambda row: reader.place(row, time_name), stamps
             )
-        _check_rising(time_name, time, cells[time_name], timezone, stamps=unit_s is None)
-        columns = {
-            name: _numbers(column, cells[column], has_commas=has_commas) for name, column in asked.items()
-        }
-    return Recording(path, time, columns, clock, time_name)
+        reader.check_rising(time_name, time, timezone, stamps=unit_s is None)
+        columns = {name: reader.numbers(column, has_commas=has_commas) for name, column in asked.items()}
+    said = {name: (units or {}).get(column, "") for name, column in asked.items()}
+    said = {name: one for name, one in said.items() if one}
+    return Recording(path, time, columns, clock, time_name, table.first_line, said)
 
 
 @contextmanager
@@ -142,61 +151,20 @@ def _unquoted(path: Path, needed: str) -> Iterator[None]:
         ) from None
 
 
-def _place(row: int, column: str) -> str:
-    return f"line {row + FIRST_LINE}, column {column}"
+def _unit_of_durations(name: str, said: str | None) -> float | None:
+    """Return the unit of a time column, None where it has timestamps. [s].
 
-
-def _rows(content: bytes) -> tuple[list[list[str]], str]:
-    """Return the cells of all lines, without blanks around them, and what separates them."""
-    if content.startswith(b"PK\x03\x04"):
-        raise InputError("is a workbook, no CSV file; save its sheet as CSV")
-    try:
-        text = _decoded(content)
-        first = text.partition("\n")[0]
-        if first.startswith("sep="):
-            raise InputError(f"line 1, {quoted(first.strip())}, is for a spreadsheet alone; remove it")
-        bare = re.sub('"[^"]*"', "", first)
-        delimiter = next((sign for sign in ";\t" if sign in bare), ",")
-        lines = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        rows = _without_blanks(lines)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"not a readable CSV file ({error}); give a comma-separated text file") from None
-    if not rows or not any(rows[0]):
-        raise InputError("the file is empty; the first line names the columns")
-    return rows, delimiter
-
-
-def _without_blanks(lines: Iterable[list[str]]) -> list[list[str]]:
-    """Return the cells of all lines up to the last, or up to a blank one between others, which is a fault.
-
-    A blank line at the end is no row; anywhere else its time is missing, so that no line after it is needed.
-    A file may hold blank lines by the million.
+    Args:
+        name: Name of the column, which may end with its unit.
+        said: What the line of units says of it, None for nothing.
     """
-    rows: list[list[str]] = []
-    blank: list[str] | None = None
-    for line in lines:
-        cells = [cell.strip() for cell in line]
-        if not any(cells):
-            blank = cells if blank is None else blank
-        elif blank is None:
-            rows.append(cells)
-        else:
-            return [*rows, blank]
-    return rows
-
-
-def _composed(name: str) -> str:
-    return unicodedata.normalize("NFC", name)
-
-
-def _decoded(content: bytes) -> str:
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return content.decode("utf-16")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        # The usual encoding of a spreadsheet's export; its umlauts and degree signs can only be in names.
-        return content.decode("cp1252")
+    named_s = next((length for end, length in _DURATIONS.items() if name.endswith(end)), None)
+    unit = in_si(said) if said is not None else None
+    if said is None or unit is None or unit.exponents != (("s", 1),):
+        return named_s
+    if named_s is not None and named_s != float(unit.factor):
+        raise InputError(f"the line of units says {quoted(said)} of column {name}; correct one of the two")
+    return float(unit.factor)
 
 
 def _time_column(header: list[str], asked: str | None) -> str:
@@ -211,14 +179,13 @@ def _time_column(header: list[str], asked: str | None) -> str:
     )
 
 
-def _cells(
-    rows: list[list[str]], header: list[str], names: list[str], delimiter: str
-) -> dict[str, list[str]]:
+def _cells(table: CsvTable, names: list[str]) -> dict[str, list[str]]:
     """Return the cells of columns, and refuse lines whose values may stand in other columns.
 
     That is values beyond the last column, as of decimal commas between commas, and cells that are missing up
     to the last column in use; beyond it, spreadsheets may leave out separators of empty cells.
     """
+    header, rows = table.header, table.rows
     for name in names:
         if name not in header:
             raise InputError(
@@ -227,13 +194,14 @@ def _cells(
             )
         if header.count(name) > 1:
             raise InputError(f"column {name} stands {header.count(name)} times in the header; keep one")
-    if len(rows) < 3:
-        raise InputError(f"{('no', 'one')[len(rows) - 1]} row of data; a recording has at least two")
+    if len(rows) < 2:
+        raise InputError(f"{('no', 'one')[len(rows)]} row of data; a recording has at least two")
     n, places = len(header), [header.index(name) for name in names]
     n_used = 1 + max(places)
-    for line, row in enumerate(rows, start=1):
+    for line, row in enumerate(rows, start=table.first_line):
         if any(row[n:]):
-            hint = "; decimal commas need semicolons between the columns" if delimiter == "," else ""
+            is_comma = table.delimiter == ","
+            hint = "; decimal commas need semicolons between the columns" if is_comma else ""
             raise InputError(f"line {line} has {len(row)} cells, the header {n}; correct one of them{hint}")
         if len(row) < n_used:
             raise InputError(
@@ -241,64 +209,85 @@ def _cells(
                 f"{shortened(header[n_used - 1])}; remove it, or complete it with an empty cell for each "
                 "value that is not known"
             )
-    return {name: [row[place] for row in rows[1:]] for name, place in zip(names, places, strict=True)}
+    return {name: [row[place] for row in rows] for name, place in zip(names, places, strict=True)}
 
 
-def _numbers(name: str, cells: list[str], *, has_commas: bool) -> FloatArray:
-    """Return the cells as numbers, NaN where one is empty."""
-    values = np.empty(len(cells))
-    for row, cell in enumerate(cells):
-        try:
-            if "_" in cell:
-                raise ValueError("only Python takes 1_0 for 10")
-            values[row] = float(cell.replace(",", ".") if has_commas else cell)
-        except ValueError:
-            if cell.casefold() not in _WORDS:
+@dataclass(frozen=True)
+class _Reader:
+    """Makes numbers of cells, and names the line of one that is none.
+
+    Attributes:
+        table: The table.
+        cells: Cells of the columns in use.
+    """
+
+    table: CsvTable
+    cells: Mapping[str, list[str]]
+
+    def place(self, row: int, column: str) -> str:
+        """Name a cell."""
+        return f"line {self._line(row)}, column {column}"
+
+    def _line(self, row: int) -> int:
+        return row + self.table.first_line
+
+    def numbers(self, name: str, *, has_commas: bool) -> FloatArray:
+        """Return a column as numbers, NaN where a cell is empty."""
+        cells = self.cells[name]
+        values = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            try:
+                if "_" in cell:
+                    raise ValueError("only Python takes 1_0 for 10")
+                values[row] = float(cell.replace(",", ".") if has_commas else cell)
+            except ValueError:
+                if cell.casefold() not in _WORDS:
+                    raise InputError(
+                        f"{self.place(row, name)}: {quoted(cell)} is not a number; correct it, or leave the "
+                        "cell empty"
+                    ) from None
+                values[row] = _WORDS[cell.casefold()]
+            if abs(values[row]) > _MOST:
                 raise InputError(
-                    f"{_place(row, name)}: {quoted(cell)} is not a number; correct it, or leave the cell "
-                    "empty"
-                ) from None
-            values[row] = _WORDS[cell.casefold()]
-        if abs(values[row]) > _MOST:
+                    f"{self.place(row, name)}: {shortened(cell)} is no measured value; leave the cell empty"
+                )
+        return values
+
+    def has_decimal_commas(self, cells: Mapping[str, list[str]]) -> bool:
+        """Return whether there are decimal commas; beside points they are an error, as of thousands."""
+
+        def first(has_one: Callable[[str], object]) -> tuple[str, int, str] | None:
+            every = ((name, row, cell) for name in cells for row, cell in enumerate(cells[name]))
+            return next((one for one in every if has_one(one[2])), None)
+
+        comma, point = first(_DECIMAL_COMMA.fullmatch), first(lambda cell: "." in cell)
+        if comma and point:
+            where = "" if point[0] == comma[0] else f" in column {point[0]}"
+            lines = self._line(comma[1]), self._line(point[1])
             raise InputError(
-                f"{_place(row, name)}: {shortened(cell)} is no measured value; leave the cell empty"
+                f"column {comma[0]} has a comma in {quoted(comma[2])} (line {lines[0]}) and there is a point "
+                f"in {quoted(point[2])} (line {lines[1]}{where}); write all numbers alike, without thousands "
+                "signs"
             )
-    return values
+        return comma is not None
 
-
-def _has_decimal_commas(cells: Mapping[str, list[str]]) -> bool:
-    """Return whether there are decimal commas; beside points they are an error: one may mean thousands."""
-
-    def first(has_one: Callable[[str], object]) -> tuple[str, int, str] | None:
-        every = ((name, row, cell) for name in cells for row, cell in enumerate(cells[name]))
-        return next((one for one in every if has_one(one[2])), None)
-
-    comma, point = first(_DECIMAL_COMMA.fullmatch), first(lambda cell: "." in cell)
-    if comma and point:
-        where = "" if point[0] == comma[0] else f" in column {point[0]}"
-        raise InputError(
-            f"column {comma[0]} has a comma in {quoted(comma[2])} (line {comma[1] + FIRST_LINE}) and there "
-            f"is a point in {quoted(point[2])} (line {point[1] + FIRST_LINE}{where}); write all numbers "
-            "alike, without thousands signs"
-        )
-    return comma is not None
-
-
-def _check_rising(
-    name: str, time: FloatArray, cells: list[str], timezone: str | None, *, stamps: bool
-) -> None:
-    for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
-        before, cell = cells[row], cells[row + 1]
-        said = "repeats" if time[row + 1] == time[row] else "comes before"
-        hint = ""
-        if stamps and time[row] - time[row + 1] <= 3600.0:
-            hint = "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
-            if timezone:
-                # Of a clock in a time zone, the same time twice is a row twice.
-                never_set = "; if this clock is never set forward or back, remove timezone = "
-                hint = f"{never_set}{timezone!r} from the case" if before != cell else ""
-        column = name if name == TIME_COLUMN else f"column {name}"
-        raise InputError(
-            f"line {row + FIRST_LINE + 1}: {column} = {shortened(cell)} {said} the line above "
-            f"({shortened(before)}); sort the rows and drop duplicates{hint}"
-        )
+    def check_rising(self, name: str, time: FloatArray, timezone: str | None, *, stamps: bool) -> None:
+        """Check that times rise; they are those of the column."""
+        cells = self.cells[name]
+        for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
+            before, cell = cells[row], cells[row + 1]
+            said = "repeats" if time[row + 1] == time[row] else "comes before"
+            hint = ""
+            if stamps and time[row] - time[row + 1] <= 3600.0:
+                hint = (
+                    "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
+                )
+                if timezone:
+                    # Of a clock in a time zone, the same time twice is a row twice.
+                    never_set = "; if this clock is never set forward or back, remove timezone = "
+                    hint = f"{never_set}{timezone!r} from the case" if before != cell else ""
+            column = name if name == TIME_COLUMN else f"column {name}"
+            raise InputError(
+                f"line {self._line(row + 1)}: {column} = {shortened(cell)} {said} the line above "
+                f"({shortened(before)}); sort the rows and drop duplicates{hint}"
+            )

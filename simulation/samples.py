@@ -1,4 +1,4 @@
-"""Samples of an output at times of their own, and where they lie among the output times."""
+"""Samples of an output at times of their own, moments or means, and where they lie among the output times."""
 
 from dataclasses import dataclass, replace
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 
+MOMENT = (0.0, 0.0)
+"""Interval of a sample that is no mean."""
 # A sample this close to an output time, as a share of the output step, lies on it.
 _ON_GRID = 1e-6
 
@@ -17,10 +19,13 @@ class Samples:
     Attributes:
         time: Sample times, rising. Shape (m,). [s]
         values: Measured values. Shape (m,). [output's unit]
+        interval: Of means: from when on and until when each of them goes, relative to its time; (0, 0) for
+            values of moments. [s]
     """
 
     time: FloatArray
     values: FloatArray
+    interval: tuple[float, float] = MOMENT
 
     def __post_init__(self) -> None:
         if self.time.shape != self.values.shape or self.time.ndim != 1:
@@ -31,6 +36,25 @@ class Samples:
             raise ValueError("a sample is not finite; leave gaps out")
         if np.any(np.diff(self.time) <= 0):
             raise ValueError("sample times do not rise")
+        if self.interval[0] > self.interval[1]:
+            raise ValueError(f"an interval from {self.interval[0]} to {self.interval[1]} s has no length")
+
+    @property
+    def are_means(self) -> bool:
+        """Whether each is the mean over an interval, not the value of a moment."""
+        return self.interval != MOMENT
+
+    @property
+    def begin_s(self) -> float:
+        """From when on the first one says something. [s]."""
+        return float(self.time[0]) + self.interval[0]
+
+    def place_on(self, grid: FloatArray) -> "Place | MeanPlace":
+        """Find them among the output times (t,), which must hold all of them. [s]."""
+        if not self.are_means:
+            return place_of(grid, self.time)
+        first, last = (_inside(grid, self.time + one) for one in self.interval)
+        return MeanPlace(np.diff(grid), place_of(grid, first), place_of(grid, last), last - first)
 
     def within(self, begin_s: float, length_s: float) -> "Samples":
         """Return the same with times from a begin on, for `length_s` at most. [s]."""
@@ -53,6 +77,46 @@ class Place:
         found = series[:, self.before] * (1.0 - self.share)
         found += series[:, self.after] * self.share
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class MeanPlace:
+    """Between which output times the intervals of means begin and end.
+
+    Attributes:
+        steps: Steps between the t output times. Shape (t - 1,). [s]
+        first: Where the intervals begin.
+        last: Where they end.
+        length: Their lengths. Shape (m,). [s]
+    """
+
+    steps: FloatArray
+    first: Place
+    last: Place
+    length: FloatArray
+
+    def of(self, series: FloatArray) -> FloatArray:
+        """Return the means of series (n, t) there, of straight lines between output times. Shape (n, m)."""
+        # Relative to the first value, integrals stay small and keep their digits.
+        level = series[:, :1]
+        rest = series - level
+        whole = np.zeros(rest.shape)
+        np.cumsum(0.5 * (rest[:, 1:] + rest[:, :-1]) * self.steps, axis=1, out=whole[:, 1:])
+
+        def until(place: Place) -> FloatArray:
+            begin, end = rest[:, place.before], rest[:, place.after]
+            step = self.steps[np.minimum(place.before, len(self.steps) - 1)]
+            part = place.share * (begin + 0.5 * place.share * (end - begin))
+            return np.asarray(whole[:, place.before] + part * step)
+
+        return np.asarray((until(self.last) - until(self.first)) / self.length + level)
+
+
+def _inside(grid: FloatArray, time: FloatArray) -> FloatArray:
+    """Return times (m,) of which a rounding put none outside of the output times (t,). [s]."""
+    inside = np.clip(time, grid[0], grid[-1])
+    slack = _ON_GRID * float(np.max(np.diff(grid), initial=0.0))
+    return np.where(np.abs(time - inside) <= slack, inside, time)
 
 
 def place_of(grid: FloatArray, time: FloatArray) -> Place:

@@ -16,15 +16,25 @@ _TOKEN = re.compile(r"(?P<sign>[./()])|(?P<name>[^\W\d_]+|%)(?P<power>-?\d{1,2})
 _MOST_POWER = 100  # of a number with thousands of digits no unit is made
 _RADIAN = Fraction(math.pi) / 180
 
+# Times in full, as programs that are no physics tools write them.
+_TIMES = {
+    f"{name}{plural}": size
+    for names, size in (
+        (("sec", "second"), "1 s"), (("minute",), "60 s"), (("hr", "hour"), "3600 s"), (("day",), "86400 s"),
+    )
+    for name in names
+    for plural in ("", "s")
+}  # fmt: skip
+
 # Units by name, in others.
 _DEFINED = {
     "%": "0.01 1", "ppm": "1e-6 1", "ha": "10000 m2", "l": "0.001 m3", "L": "0.001 m3", "g": "0.001 kg",
-    "t": "1000 kg", "min": "60 s", "h": "3600 s", "d": "86400 s", "Hz": "1 s-1", "lm": "1 cd",
+    "t": "1000 kg", "min": "60 s", "h": "3600 s", "d": "86400 s", **_TIMES, "Hz": "1 s-1", "lm": "1 cd",
     "lx": "1 cd.m-2", "N": "1 kg.m.s-2", "Pa": "1 N.m-2", "bar": "1e5 Pa", "atm": "101325 Pa", "J": "1 N.m",
     "Wh": "3600 J", "cal": "4.184 J", "W": "1 J.s-1", "VA": "1 W", "var": "1 W", "Ah": "3600 A.s",
     "V": "1 W.A-1", "Ohm": "1 V.A-1", "S": "1 A.V-1", "F": "1 A.s.V-1", "H": "1 V.s.A-1", "T": "1 V.s.m-2",
 }  # fmt: skip
-_NO_PREFIX = {"%", "ppm", "kg", "rad", "cd", "ha", "min", "h", "d", "atm"}
+_NO_PREFIX = {"%", "ppm", "kg", "rad", "cd", "ha", "min", "h", "d", "atm", *_TIMES}
 _PREFIXES = {
     "G": "1e9", "M": "1e6", "k": "1e3", "h": "100", "d": "0.1", "c": "0.01", "m": "0.001", "u": "1e-6",
     "µ": "1e-6", "μ": "1e-6", "n": "1e-9",

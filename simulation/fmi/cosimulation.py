@@ -53,12 +53,13 @@ class CoSimulation:
         status, stage, step = step_through(*self._arguments(y))
         if status <= WARNING:
             return ""
-        time = float(self._plan.edges[step])
+        time = self._plan.in_seconds(float(self._plan.edges[step]))
         # FMI 3.0 says so by a flag of the step, FMI 2.0 by a discarded step and an answer when asked.
         if status == ENDED or (status == DISCARD and self._wants_to_end()):
             return f"the FMU ended the simulation by itself in the step at {time:g} s{last_message(': {}')}"
         if status == EARLY:
-            return f"the FMU returned early, at {self._reached[0]:g} s, from the step at {time:g} s"
+            reached = self._plan.in_seconds(float(self._reached[0]))
+            return f"the FMU returned early, at {reached:g} s, from the step at {time:g} s"
         return self._instance.failure(self._names[stage], status, time)
 
     def _arguments(self, y: FloatArray) -> tuple[Any, ...]:

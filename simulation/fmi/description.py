@@ -4,13 +4,14 @@ import difflib
 import hashlib
 import io
 import zipfile
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
 from simulation.fmi import fmpy_description as reading
+from simulation.fmi.own_time import clock_of
 from simulation.fmi.variable import (
     REAL_KINDS,
     SETTERS,
@@ -134,7 +135,8 @@ class FmuDescription:
             The variable.
 
         Raises:
-            InputError: If there is none of this name, it has another causality, or no case can use it.
+            InputError: If there is none of this name or more than one, it has another causality, or no case
+                can use it.
         """
         variable = self.variables.get(name)
         if variable is None:
@@ -143,6 +145,7 @@ class FmuDescription:
             close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
             hint = f"did you mean {by_lower[close[0]]}?" if close else f"it has: {_listed(candidates)}"
             raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
+        variable.require_once(f"{where}: {self.path.name}")
         stands_in = causality == "output" and variable.causality == "local"
         stands_in |= causality == "parameter" and (
             variable.is_start_value
@@ -253,20 +256,19 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         raise ValueError(f"{n_event_indicators} event indicators")
     EVENT_INDICATORS.check(n_event_indicators, str(path))
     derivatives = [one.variable for one in model.derivatives if one.variable.derivative is not None]
-    experiment = ("startTime", "stopTime", "stepSize", "tolerance")
+    variables = _by_name(reading.variable_of(one, version) for one in model.modelVariables)
+    units = {str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions}
     return FmuDescription(
         path=path,
         guid=str(model.guid),
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        variables={
-            str(variable.name): reading.variable_of(variable, version) for variable in model.modelVariables
-        },
+        variables=variables,
         fmi_version=version,
         interfaces=runnable,
-        default_experiment=DefaultExperiment(
-            *(reading.number_or_none(getattr(model.defaultExperiment, name, None)) for name in experiment)
+        default_experiment=reading.experiment_of(
+            model.defaultExperiment, unit_s=clock_of(variables, units).unit_s or 1.0
         ),
         states=tuple(str(one.derivative.name) for one in derivatives),
         derivatives=tuple(str(one.name) for one in derivatives),
@@ -277,8 +279,19 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
             if unknown.dependencies is not None
         },
         n_event_indicators=n_event_indicators,
-        units={str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions},
+        units=units,
     )
+
+
+def _by_name(variables: Iterable[FmuVariable]) -> dict[str, FmuVariable]:
+    """Return variables by name, the last one of a name with the references of those before."""
+    found = dict[str, FmuVariable]()
+    for one in variables:
+        before = found.get(one.name)
+        if before is not None:
+            one = replace(one, namesakes=(*before.namesakes, before.reference))
+        found[one.name] = one
+    return found
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -93,7 +93,7 @@ class ModelExchange:
             self._table,
             relative_tolerance=self._tolerance,
             # Roots are sought at the ends of internal steps: a pair of events in a longer one is not seen.
-            longest_step_s=float(np.max(np.diff(plan.edges))),
+            longest_step=float(np.max(np.diff(plan.edges))),
         )
         # CVODE starts anew only where an input changes: its first steps are short and of first order.
         inputs = plan.scenario.inputs
@@ -108,7 +108,7 @@ class ModelExchange:
             return failure
         self._table[calls.COMPONENT] = self._instance.component
         end, time = loop.simulate_row(*self._arguments(y))
-        return "" if end == loop.GOOD else self._reason(end, time)
+        return "" if end == loop.GOOD else self._reason(end, self._plan.in_seconds(time))
 
     def _arguments(self, y: FloatArray) -> tuple[Any, ...]:
         """Return what the loop is called with."""
@@ -164,14 +164,15 @@ class Cvode:
             (max(1, n),).
     """
 
-    def __init__(self, table: IntArray, *, relative_tolerance: float, longest_step_s: float) -> None:
+    def __init__(self, table: IntArray, *, relative_tolerance: float, longest_step: float) -> None:
         """Make a solver for the instance that a table describes, and enter its addresses there.
 
         Args:
             table: The table (see exchange_calls), functions and counts filled in. It is CVODE's user data
                 and must stay where it is. Shape (SIZE,).
             relative_tolerance: Relative tolerance.
-            longest_step_s: No internal step is longer, so that an event indicator is looked at as often. [s]
+            longest_step: No internal step is longer, so that an event indicator is looked at as often. [FMU's
+                unit of time]
         """
         # CVODE wants one state at least; a model without any is given one that rests.
         n, n_indicators = max(1, int(table[calls.N_STATES])), int(table[calls.N_INDICATORS])
@@ -196,7 +197,7 @@ class Cvode:
         if n_indicators:
             _check(cvode.CVodeRootInit(memory, n_indicators, cvode.CVRootFn(calls.indicators.address)))
             _check(cvode.CVodeSetNoInactiveRootWarn(memory))
-        _check(cvode.CVodeSetMaxStep(memory, longest_step_s))
+        _check(cvode.CVodeSetMaxStep(memory, longest_step))
         # No warnings that a step does not move the time: the loop counts such steps itself.
         _check(libraries.sundials_cvode.CVodeSetMaxHnilWarns(memory, -1))
         # What it frees, without self: a reference to self would let it live for ever.

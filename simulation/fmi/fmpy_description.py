@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import fmpy
 
 from simulation.errors import InputError
-from simulation.fmi.variable import SETTERS, FmiVersion, FmuInterface, FmuVariable
+from simulation.fmi.variable import SETTERS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
@@ -92,6 +92,22 @@ def interface_of(declared: Any) -> FmuInterface:
         can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
         needs_execution_tool=bool(declared.needsExecutionTool),
     )
+
+
+def experiment_of(declared: Any, *, unit_s: float) -> DefaultExperiment:
+    """Convert the default experiment of fmpy, None for none.
+
+    Args:
+        declared: What fmpy read.
+        unit_s: How long the unit of the FMU's own time is, which its times count in. [s]
+    """
+
+    def said(name: str) -> float | None:
+        return number_or_none(getattr(declared, name, None))
+
+    times = (said(name) for name in ("startTime", "stopTime", "stepSize"))
+    start_s, stop_s, step_s = (None if time is None else time * unit_s for time in times)
+    return DefaultExperiment(start_s, stop_s, step_s, said("tolerance"))
 
 
 def variable_of(variable: Any, version: FmiVersion) -> FmuVariable:

@@ -44,6 +44,7 @@ class FmuSettings:
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
         is_watched: Whether outputs may be no numbers without failing their row; who watches checks them.
         ties: Parameters that follow from others.
+        time_unit_s: How long one unit of the FMU's own time is. [s]
     """
 
     path: Path
@@ -60,6 +61,7 @@ class FmuSettings:
     parameter_offsets: FloatArray | None = None
     is_watched: bool = False
     ties: tuple[Tie, ...] = ()
+    time_unit_s: float = 1.0
 
     @property
     def set_names(self) -> tuple[str, ...]:
@@ -111,6 +113,7 @@ class FmuSettings:
             scenario=scenario,
             output_references=np.array(references, dtype=np.uint32),
             tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
+            time_unit_s=self.time_unit_s,
         )
 
     def prepare(self) -> None:

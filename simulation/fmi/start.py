@@ -25,6 +25,7 @@ class RunPlan:
         scenario: Inputs and times. [FMU's units]
         output_references: Value references. Shape (k,), uint32.
         tolerance: Relative tolerance to ask for, None for the FMU's own.
+        time_unit_s: How long one unit of the FMU's own time is. [s]
     """
 
     calibrated: tuple[FmuVariable, ...]
@@ -33,11 +34,17 @@ class RunPlan:
     scenario: Scenario
     output_references: Any
     tolerance: float | None
+    time_unit_s: float = 1.0
 
     @cached_property
     def edges(self) -> FloatArray:
-        """Edges of the communication steps, contiguous. Shape (m + 1,). [s]."""
-        return np.ascontiguousarray(self.scenario.time_communication, dtype=np.float64)
+        """Edges of the communication steps, contiguous. Shape (m + 1,). [FMU's unit of time]."""
+        edges = np.ascontiguousarray(self.scenario.time_communication, dtype=np.float64)
+        return edges if self.time_unit_s == 1.0 else edges / self.time_unit_s
+
+    def in_seconds(self, time: float) -> float:
+        """Convert a time of the FMU. [s]."""
+        return time * self.time_unit_s
 
     @property
     def n_steps(self) -> int:
@@ -96,7 +103,7 @@ class Start:
             plan: What is to be set.
         """
         self._instance = instance
-        self._time = float(plan.edges[0])
+        start, self._start_s = float(plan.edges[0]), plan.in_seconds(float(plan.edges[0]))
 
         def grouped(variables: Sequence[FmuVariable], values: list[Any]) -> list[Setting]:
             # One call per function, not per variable.
@@ -128,7 +135,7 @@ class Start:
         self.seen = grouped([one for one, _ in continuous], [values for _, values in continuous])
         self.seen_table = _table(instance, self.seen)
         asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
-        experiment = (asked, tolerance, self._time, True, float(plan.edges[-1]))
+        experiment = (asked, tolerance, start, True, float(plan.edges[-1]))
         is_fmi2 = instance.prefix == "fmi2"
         configuration = [("EnterConfigurationMode",), *_calls(structural), ("ExitConfigurationMode",)]
         self._calls = [
@@ -156,7 +163,7 @@ class Start:
         for one in self._parameters:
             # In place: the prepared calls hold the address of this array.
             one.values[0] = values[one.columns]
-        failure = self._instance.call_all(self._calls, self._time)
+        failure = self._instance.call_all(self._calls, self._start_s)
         self._instance.is_initialized = not failure
         return failure
 

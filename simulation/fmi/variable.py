@@ -69,6 +69,7 @@ class FmuVariable:
         is_difference: Whether its values are differences of quantities: 1 degC is 1 K then.
         setter: Function that sets it, without the version, "" for none.
         dtype: C type of its values, None for text and for what nothing sets.
+        namesakes: Value references of other variables with the same name, which the standard forbids.
     """
 
     name: str
@@ -88,6 +89,7 @@ class FmuVariable:
     is_difference: bool = False
     setter: str = ""
     dtype: Any = None
+    namesakes: tuple[int, ...] = ()
 
     @property
     def is_start_value(self) -> bool:
@@ -102,6 +104,29 @@ class FmuVariable:
     def is_out_of_reach(self) -> bool:
         """Whether nothing here can set or read it: an array, a clock, bytes."""
         return bool(self.shape) or self.kind in ("Binary", "Clock")
+
+    def require_once(self, where: str) -> None:
+        """Check that no other variable has its name.
+
+        Args:
+            where: What names it, for the message.
+
+        Raises:
+            InputError: If one has.
+        """
+        if self.namesakes:
+            raise InputError(f"{where}: {self.twice}; give each variable a name of its own in the FMU")
+
+    @property
+    def twice(self) -> str:
+        """How often its name stands in the description, and with which value references."""
+        n = len(self.namesakes) + 1
+        references = [*map(str, self.namesakes), str(self.reference)]
+        said = f"{', '.join(references[:-1])} and {references[-1]}"
+        often = "twice" if n == 2 else f"{n} times"
+        return (
+            f"{shortened(self.name)} stands {often} in modelDescription.xml, with the value references {said}"
+        )
 
     def held_at(self, value: Value, where: str) -> Value:
         """Return a value as the variable takes it, the number of an item for its name.

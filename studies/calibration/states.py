@@ -50,6 +50,7 @@ class StateSignals:
         n_hidden: How many of the inputs, the last ones, are variables that follow time (hidden_inputs.py).
         n_switches: How many of the states, the last ones, are positions of switches (switch_positions.py).
         tolerance: Relative tolerance of the FMU's solver. [1]
+        time_unit_s: How long the unit of time is that the FMU's derivatives are by. [s]
     """
 
     states: tuple[str, ...]
@@ -70,6 +71,7 @@ class StateSignals:
     n_hidden: int = 0
     n_switches: int = 0
     tolerance: float = 0.0
+    time_unit_s: float = 1.0
 
     @classmethod
     def of(cls, case: Case) -> Self:
@@ -105,6 +107,7 @@ class StateSignals:
             others,
             tuple(fmu.variables[name].unit for name in others),
             tolerance=case.settings.relative_tolerance or fmu.default_experiment.tolerance or 0.0,
+            time_unit_s=case.settings.time_unit_s,
         )
 
     @property
@@ -155,6 +158,8 @@ def why_unwatched(case: Case) -> str:
     for name in (*fmu.states, *fmu.derivatives):
         if fmu.variables[name].kind not in ("Real", "Float64") or fmu.variables[name].shape:
             return f"{fmu.path}: {name} is no scalar of 64 bits, which states have to be"
+        if fmu.variables[name].namesakes:
+            return f"{fmu.path}: {fmu.variables[name].twice}"
     return ""
 
 
@@ -168,7 +173,7 @@ def _locals(case: Case) -> tuple[str, ...]:
     for name, one in fmu.variables.items():
         is_signal = one.causality in ("local", "output") and one.variability in ("continuous", "discrete")
         is_number = one.kind in ("Real", "Float64") and not one.shape
-        if is_signal and is_number and (one.kind, one.reference) not in known:
+        if is_signal and is_number and not one.namesakes and (one.kind, one.reference) not in known:
             known.add((one.kind, one.reference))
             found.append(name)
     return tuple(found[:MOST_LOCALS])
@@ -307,6 +312,5 @@ class WatchedModel(WrappedModel):
         # Equations are learnt in the FMU's units; a state that is an output, too, was converted.
         moved = (rows[..., self._columns] - self._offsets) / self._factors
         n = len(self.signals.states)
-        return StateRows(
-            moved[..., :n], moved[..., n : 2 * n], rows[..., : self._n_outputs], moved[..., 2 * n :]
-        )
+        slope = moved[..., n : 2 * n] / self.signals.time_unit_s
+        return StateRows(moved[..., :n], slope, rows[..., : self._n_outputs], moved[..., 2 * n :])

@@ -85,10 +85,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         )
     if chosen.method == "paper" or chosen.n_train:
         return _from_surrogates(chosen, console)
+    from studies.doctor.begin import say_begin
     from studies.stages.adaptive_stage import adaptive_stage
     from studies.stages.shown import show_calibrations
 
     study = open_study(chosen, console)
+    say_begin(study.case, console)
     outcome = adaptive_stage(
         study,
         max_calls=chosen.max_calls,
@@ -117,10 +119,12 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
             raise InputError(
                 f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
             )
+    from studies.doctor.begin import say_begin
     from studies.stages.calibrate_stage import calibrate_stage, tuned_with_best
     from studies.stages.shown import show_calibrations
 
     study = open_study(chosen, console)
+    say_begin(study.case, console)
     sizes = tuned_with_best(study, chosen.n_train)
     outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
     show_calibrations(study, outcomes)

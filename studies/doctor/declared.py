@@ -76,7 +76,8 @@ def look_at_data(case: Case) -> Iterator[Finding]:
     scenario, p = case.scenario, case.parameter_space.n_parameters
     n_samples = n_values(case)
     partly = list(_partly_covered(case))
-    remedies = ["shorten the window, or measure all of it: the rest is not calibrated"] * bool(partly)
+    rest = "the rest is not calibrated; measure all of it, or shorten the window"
+    remedies = [f"{rest} (a later begin needs start_d or start_s)"] * bool(partly)
     if n_samples <= p and not case.experiment:
         excess = f"{count(p, 'parameter')} cannot be found from {count(n_samples, 'value')}"
         remedies.append(excess if partly else f"{excess}; lengthen the window")

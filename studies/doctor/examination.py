@@ -11,6 +11,7 @@ import numpy as np
 import studies.doctor.answers as answers
 import studies.doctor.effects as effects
 import studies.doctor.mixups as mixups
+from simulation.arrays import FloatArray
 from simulation.case import named_experiments, with_step
 from simulation.errors import InputError
 from simulation.pool.pool_model import PoolModel
@@ -19,9 +20,12 @@ from simulation.trajectories import Trajectories
 from studies.circumstances import RowsInCircumstances
 from studies.console import format_seconds
 from studies.doctor.asking import Asked, TimedModel
+from studies.doctor.begin import look_at_begin
 from studies.doctor.budget import EXAMINATION_S, SLOWER, TimeBudget
 from studies.doctor.declared import look_at_data, look_at_declaration, look_at_number_of_values
 from studies.doctor.finding import Diagnosis, Finding, finding, named
+from studies.doctor.means import look_at_means, rows_for_means
+from studies.doctor.names import look_at_names
 from studies.physical_model import give_up_reuse, never_reused_file, open_physical_model
 from studies.stages.pipeline import Study
 
@@ -82,7 +86,8 @@ class _Examination:
 
     def findings(self) -> list[Finding]:
         """Examine all but what parameters do, which is judged over all experiments."""
-        found = [*look_at_declaration(self._case), *look_at_data(self._case)]
+        case = self._case
+        found = [*look_at_declaration(case), *look_at_data(case), *look_at_begin(case), *look_at_names(case)]
         with (
             self._study.console.progress("examinations", N_STEPS) as advance,
             closing(self._simulated()) as simulated,
@@ -191,6 +196,7 @@ class _Examination:
                 self._from_other_points(timed)
                 yield self._at_bounds(timed, moved)
             yield self._mixed_up(timed.known)
+            yield self._means(timed)
 
     def _moved(self, timed: TimedModel, nominal: Trajectories) -> Asked | None:
         """Move every parameter from the estimates; None where there is no time for that."""
@@ -239,6 +245,17 @@ class _Examination:
         better = mixups.better_outputs(case, known)
         better += self._better_inputs(known)
         return list(mixups.look_at_mixups(better))
+
+    def _means(self, timed: TimedModel) -> list[Finding]:
+        """Look whether samples are means, once all else is known: that takes the most simulations."""
+        n, what = rows_for_means(self._case), "means or moments"
+        if not n or not self.budget.rows(what, n, n, at_once=False):
+            return []
+
+        def simulate(theta: FloatArray) -> Trajectories:
+            return timed.ask(theta, what).whole(theta)
+
+        return list(look_at_means(self._case, simulate, timed.known))
 
     def _better_inputs(self, known: Trajectories) -> list[mixups.Better]:
         case, budget = self._case, self.budget

@@ -52,8 +52,8 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         paths: The project.
 
     Raises:
-        InputError: The FMU cannot be used, a name is not in it, there is a case file or another FMU of that
-            name, or the folder cannot be written.
+        InputError: The FMU cannot be used, a name is not in it or twice, there is a case file or another FMU
+            of that name, or the folder cannot be written.
     """
     fmu_file: Path = options.fmu.expanduser()
     fmu, folder = describe(fmu_file), _folder(fmu_file, paths, options.to)
@@ -73,6 +73,8 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         parameters=chosen,
         times=choose_times(fmu),
     )
+    for one in (*case.inputs, *case.outputs.used, *case.parameters.used):
+        one.require_once(str(fmu_file))
     case_file, copied = folder / "case.toml", folder / fmu_file.name
     texts = {data / file: content for file, content in example_files(case).items()}
     texts |= {data / "README.md": data_readme(case), case_file: case_text(case)}

@@ -68,11 +68,13 @@ class Times:
     """A first time axis.
 
     Attributes:
+        start_s: Begin of the window. [s]
         stop_s: End of the window. [s]
         step_s: Step over which inputs are constant, and of the outputs. [s]
         why: Where they come from.
     """
 
+    start_s: float
     stop_s: float
     step_s: float
     why: str
@@ -178,14 +180,15 @@ def bounds_for(variable: FmuVariable) -> Bounds:
 def choose_times(fmu: FmuDescription) -> Times:
     """Take the default experiment for a first time axis."""
     experiment = fmu.default_experiment
-    start_s, stop_s, step = experiment.start_s or 0.0, experiment.stop_s, experiment.step_s
+    # No period of a case lies before time 0.
+    start_s, stop_s, step = max(0.0, experiment.start_s or 0.0), experiment.stop_s, experiment.step_s
     span, why = DAY_S, "one day: the FMU names no default experiment"
     if stop_s is not None and stop_s > start_s:
         span, why = stop_s - start_s, "the FMU's default experiment"
     if step is None or not 0.0 < step <= span:
         step = _round_step(span / N_STEPS)
     n_steps = max(1, math.floor(span / step * (1.0 + 1e-9)))
-    return Times(n_steps * step, step, why)
+    return Times(start_s, start_s + n_steps * step, step, why)
 
 
 def _is_number(variable: FmuVariable) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 from jinja2 import Environment
 
 from simulation.fmi.description import FmuDescription
+from simulation.fmi.own_time import clock_of
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.new.choice import Choice, Times, bounds_for, inputs_of, other_parameters
 from studies.templates import environment
@@ -61,7 +62,13 @@ def case_text(case: NewCase) -> str:
     template, fmu = _environment().get_template("case.toml.jinja"), case.fmu
     held, fixable = inputs_of(fmu, held=True), other_parameters(fmu)
     return template.render(
-        case=case, fmu=fmu, times=case.times, most=MOST_SHOWN, held_inputs=held, fixable=fixable
+        case=case,
+        fmu=fmu,
+        times=case.times,
+        clock=clock_of(fmu.variables, fmu.units),
+        most=MOST_SHOWN,
+        held_inputs=held,
+        fixable=fixable,
     )
 
 
