@@ -99,7 +99,7 @@ def composed(name: str) -> str:
 def _without_blanks(lines: Iterable[list[str]]) -> list[list[str]]:
     """Return the cells of all lines up to the last, or up to a blank one between others, which is a fault.
 
-    A blank line at the end is no row; anywhere else its time is missing, so that no line after it is needed.
+    A blank line at the end is no row; anywhere else its time is missing, so that one line after it is enough.
     A file may hold blank lines by the million.
     """
     rows: list[list[str]] = []
@@ -111,7 +111,7 @@ def _without_blanks(lines: Iterable[list[str]]) -> list[list[str]]:
         elif blank is None:
             rows.append(cells)
         else:
-            return [*rows, blank]
+            return [*rows, blank, cells]
     return rows
 
 

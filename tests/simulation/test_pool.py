@@ -161,7 +161,7 @@ def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
 def test_rows_that_run_when_the_time_is_over_are_ended():
     rows = rows_of(20, 1)
     with PoolModel(HangingToy().open, 2) as model:
-        chunks = [numbers for numbers, _ in model.as_finished(rows, until=monotonic() + 1.0)]
+        chunks = [numbers for numbers, *_ in model.as_finished(rows, until=monotonic() + 1.0)]
         # The bad row would never end.
         assert np.concatenate(chunks).size < 20
         assert not list(model.as_finished(rows, until=monotonic()))
