@@ -227,7 +227,9 @@ def _samples(
             "2 are needed; choose another window, or correct the file"
         )
     # A sample that a rounding puts outside belongs to the first or last output time.
-    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside])
+    named = f"{recording.time_column} = " if recording.clock == "seconds" else ""
+    stamps = tuple(f"{named}{recording.stamps[row]}" for row in np.flatnonzero(inside) if recording.stamps)
+    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside], stamps)
 
 
 def _as_key(key: str, days: tuple[float, float], unit: TimeUnit) -> str:

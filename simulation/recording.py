@@ -46,6 +46,7 @@ class Recording:
         clock: What the times count from: "seconds" as the file says, "local" a clock without time zone,
             "utc" timestamps with one; the last two in seconds since 1970.
         time_column: Column that the times were read from.
+        stamps: The times as the file writes them. Length m.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class Recording:
     columns: dict[str, FloatArray]
     clock: Clock = "seconds"
     time_column: str = TIME_COLUMN
+    stamps: tuple[str, ...] = ()
 
     @property
     def step_s(self) -> float:
@@ -123,7 +125,7 @@ def read_recording(
         columns = {
             name: _numbers(column, cells[column], has_commas=has_commas) for name, column in asked.items()
         }
-    return Recording(path, time, columns, clock, time_name)
+    return Recording(path, time, columns, clock, time_name, tuple(cells[time_name]))
 
 
 def _place(row: int, column: str) -> str:

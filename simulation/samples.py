@@ -17,10 +17,12 @@ class Samples:
     Attributes:
         time: Sample times, rising. Shape (m,). [s]
         values: Measured values. Shape (m,). [output's unit]
+        stamps: The times as the recording writes them, to be found there again; empty where there is none.
     """
 
     time: FloatArray
     values: FloatArray
+    stamps: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.time.shape != self.values.shape or self.time.ndim != 1:

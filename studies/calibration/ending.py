@@ -42,10 +42,16 @@ class Confirmation:
     n_restarts: int = 0
     gains: list[FloatArray] = field(default_factory=list)
 
-    def after(self, best: float) -> "Confirmation":
-        """Return the tests that still count at a lowest objective [unit squared]: none made before a gain."""
+    def after(self, best: float, outlying: float = 0.0) -> "Confirmation":
+        """Return the tests that still count at a lowest objective: none made before a gain.
+
+        Args:
+            best: The objective. [unit squared]
+            outlying: Its largest samples' part, without which gains are measured. [unit squared]
+        """
         # `best` moves at such a gain alone, so that many small gains together count as one.
-        return Confirmation(best) if best < (1.0 - SEARCH.confirmed) * self.best else self
+        is_gain = best - outlying < (1.0 - SEARCH.confirmed) * (self.best - outlying)
+        return Confirmation(best) if is_gain else self
 
     def note_test(self, gains: FloatArray) -> None:
         """Take note of a round of tests."""

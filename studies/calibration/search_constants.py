@@ -39,6 +39,7 @@ class SearchConstants:
         falling, falling_rounds: A search whose best error falls by this factor within so many rounds needs no
             truncated window. Note, Truncated windows.
         exact: Share of the measured variance that an exact fit leaves at most. Note, Convergence.
+        beside: Step of the differences beside an exact fit, as in studies/uncertainty/assess.py.
         n_across, flat: A parameter whose error at so many values across its range varies by less than this
             part has no effect. By hand.
         n_probes: Rows that are simulated where equations may act that no row has shown.
@@ -119,6 +120,7 @@ class SearchConstants:
     falling: float = 0.5
     falling_rounds: int = 3
     exact: float = 1e-8
+    beside: float = 0.01
     n_across: int = 9
     flat: float = 1e-3
     n_probes: int = 4

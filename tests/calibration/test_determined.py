@@ -7,10 +7,11 @@ from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
 from studies.calibration.adaptive import Adaptive
+from studies.calibration.differences import difference_rows
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.stages.calibrated_point import determined
-from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.identifiability import judged
 from studies.uncertainty.noise import noise_of
 
 # Of standard deviations by slopes of a surrogate, whose rows lie up to a tenth of the range away.

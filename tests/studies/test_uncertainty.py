@@ -11,13 +11,14 @@ from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
+from studies.calibration.differences import difference_rows
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, share_within
 from studies.uncertainty.findings import compensations, knowledge
-from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.identifiability import judged
 from studies.uncertainty.noise import noise_of
 from studies.uncertainty.sample import Sampling
 
