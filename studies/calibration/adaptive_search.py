@@ -94,6 +94,8 @@ class AdaptiveSearch:
         self._sensor = float(problem.measurement.uncertainty[0])
         # Slopes of the residuals beside an exact fit, once the model was asked for them.
         self._differences: FloatArray | None = None
+        # What the last proposals of state equations erred by, as long as they gained less.
+        self._vain = list[float]()
         # None until a search has shown whether it explains enough.
         self._was_truncated: bool | None = None
         self._has_probed = False
@@ -104,7 +106,7 @@ class AdaptiveSearch:
         self._radius = SEARCH.radius
         self._n_alone = 0
         self._phase = SearchPhase()
-        self._confirmation = Confirmation()
+        self._confirmation = self._no_confirmation
         self.n_rounds = 0
         self.expected_gain = np.inf
         self._n_acting = problem.n_acting
@@ -145,6 +147,8 @@ class AdaptiveSearch:
         target = self._settings.target_mse
         if target is not None and self._recorder.best_mse <= target:
             return Ending("the target is reached", converged=True)
+        if target is None and self._is_outdone and not self._is_too_large:
+            return self._ending_outdone
         # What equations have left of the first design is asked once they are not believed.
         if len(self._unasked) and self._believed is None:
             return self._ask_rest
@@ -201,7 +205,9 @@ class AdaptiveSearch:
     def _compare_beside(self) -> None:
         """Ask rows on both sides of the best one along every parameter, for the slopes there."""
         n, best = self._objective.size, int(np.argmin(self._objective))
-        self._ask(difference_rows(self._u[best], SEARCH.beside)[1:])
+        # So far inside that no side is cut: a one-sided difference shows a slope along a bent ridge.
+        inside = np.clip(self._u[best], SEARCH.beside, 1.0 - SEARCH.beside)
+        self._ask(difference_rows(inside, SEARCH.beside)[1:])
         rows = [best, *range(n, self._objective.size)]
         self._differences = difference_slopes(self._u[rows], self._residuals[rows]).T
 
@@ -209,11 +215,8 @@ class AdaptiveSearch:
     def _ending_exactly(self) -> Ending:
         """Why a search ends that has nothing left to gain."""
         within = math.sqrt(self._recorder.best_mse) / self._sensor
-        if not np.isfinite(self._sensor):
-            said = f"the best simulation leaves {SEARCH.exact:g} of the measured variance or less"
-        else:
-            said = f"the best simulation fits within {within:.2g} of the sensor's uncertainty (RMS)"
-        return Ending(said, converged=not within > 1.0)
+        said = f"the best simulation fits within {within:.2g} of the sensor's uncertainty (RMS)"
+        return Ending(said, converged=within <= 1.0)
 
     @property
     def _has_settled(self) -> bool:
@@ -341,7 +344,8 @@ class AdaptiveSearch:
     @property
     def _believed(self) -> LearnedODE | None:
         """The state equations where they propose the next point: they are known in the whole box."""
-        return self._ode if self._ode is not None and self._ode.is_believed else None
+        is_believed = self._ode is not None and self._ode.is_believed and not self._ode.is_given_up
+        return self._ode if is_believed else None
 
     @property
     def _is_sure(self) -> bool:
@@ -393,8 +397,13 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present window and begin a search phase at the best."""
         self._judge()
-        self._confirmation = Confirmation()
+        self._confirmation = self._no_confirmation
         self._phase, self._radius = SearchPhase(), SEARCH.radius
+
+    @property
+    def _no_confirmation(self) -> Confirmation:
+        """Tests and restarts before any was made."""
+        return Confirmation(n_owed=SEARCH.restarts_owed_to_one if self._p == 1 else SEARCH.restarts_owed)
 
     def _judge(self) -> None:
         error = np.mean(self._window.seen(self._residuals) ** 2, axis=1)
@@ -459,12 +468,35 @@ class AdaptiveSearch:
             predicted = self._expand(process, points[0], SEARCH.caution).value
         # A surrogate that errs at its favourite point ends no
         # search (docs/notes/adaptive-search.md, Truncated windows).
+        if self._believed is not None:
+            self._note_proposal(gain, abs(float(found[0]) - predicted), rest)
         values = (float(found[0]), predicted, expected.value, lowest)
         if is_surprised(*(value - outlying for value in values)):
             hope = np.inf
         phase.n_idle = phase.n_idle + 1 if hope <= self._ftol * rest else 0
         phase.n_stagnant = phase.n_stagnant + 1 if hope <= stagnant * rest else 0
         phase.lowest.append(self._phase_best)
+
+    def _note_proposal(self, gain: float, error: float, rest: float) -> None:
+        """Give up state equations whose proposals have gained less than they err by.
+
+        Args:
+            gain: What the last one gained. [unit squared]
+            error: What its objective differs by from the equations'. [unit squared]
+            rest: What gains are measured against. [unit squared]
+        """
+        # A proposal that failed shows nothing of what the equations err by.
+        self._vain = [*self._vain, error / rest] if gain < error < np.inf and rest > 0.0 else []
+        if len(self._vain) >= SEARCH.vain_proposals and self._ode is not None:
+            self._ode.is_given_up = True
+            # What is left to gain is less than what the equations err by, unless these err elsewhere.
+            self._phase = SearchPhase()
+
+    @property
+    def _is_outdone(self) -> bool:
+        """Whether the equations were given up and err by no more than what makes an answer wrong."""
+        is_given_up = self._ode is not None and self._ode.is_given_up
+        return is_given_up and max(self._vain, default=np.inf) <= SEARCH.promised
 
     @property
     def _phase_best(self) -> float:
@@ -525,6 +557,16 @@ class AdaptiveSearch:
         beyond = f", but {self._ode_error}" if self._ode_error else ""
         reason = f"the state equations expect {little}{nowhere}{missed}{beyond}"
         return Ending(reason, converged=(target is None or self._is_sure) and not beyond)
+
+    @property
+    def _ending_outdone(self) -> Ending:
+        """Why a search ends whose equations know the optimum as well as they can."""
+        n, error = len(self._vain), max(self._vain)
+        return Ending(
+            f"the last {n} simulations at the optimum of the state equations gained less than the equations "
+            f"err by ({error:.2g} of the error): at most {SEARCH.promised:g} of it could still be gained",
+            converged=True,
+        )
 
     @property
     def _ode_error(self) -> str:

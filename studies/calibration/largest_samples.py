@@ -41,7 +41,7 @@ def outlying_part(residuals: FloatArray, sensor: float) -> float:
 
     Args:
         residuals: Those of one simulation. Shape (m,). [first output's unit]
-        sensor: Uncertainty of the first output's sensor, not finite where it is not known. [its unit]
+        sensor: Uncertainty of the first output's sensor. [its unit]
 
     Returns:
         0 where residuals are not finite. [first output's unit squared]
@@ -49,6 +49,5 @@ def outlying_part(residuals: FloatArray, sensor: float) -> float:
     whole = float(np.square(residuals).mean()) if residuals.size else 0.0
     if not np.isfinite(whole):
         return 0.0
-    least = (VANISHING * sensor) ** 2 if np.isfinite(sensor) else 0.0
     part = float(np.square(largest_beyond(residuals)).sum()) / max(residuals.size, 1)
-    return min(part, max(whole - least, 0.0))
+    return min(part, max(whole - (VANISHING * sensor) ** 2, 0.0))

@@ -95,7 +95,7 @@ class LearnedODE:
         self._n_examined = 0
         self._is_refuted = False
         self._equations: StateEquations | None = None
-        self._is_given = False
+        self._is_given = self.is_given_up = False
         self.predicted: float | None = None
         self._ends = self._u
         self._n_failed = 0

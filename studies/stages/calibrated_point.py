@@ -114,8 +114,7 @@ def _largest(case: Case, k: int, difference: FloatArray) -> LargestSample | None
     output, sizes = case.outputs[k], np.abs(difference)
     worst, median = int(np.argmax(sizes)), float(np.median(sizes))
     # What the sensor cannot show is no wrong sample, however exact all others are.
-    is_seen = not np.isfinite(output.uncertainty) or sizes[worst] > output.uncertainty
-    if not (output.is_measured and is_seen and sizes[worst] > FAR * median):
+    if not (output.is_measured and sizes[worst] > max(FAR * median, output.uncertainty)):
         return None
     return LargestSample(
         difference=float(difference[worst]),
@@ -143,12 +142,10 @@ def determined(
         y: The simulation at the point. Shape (t, k). [per output]
         slopes: Of the residuals there, in an orthonormal basis. Shape (m, p). [first output's unit per range]
     """
-    is_known = bool(np.isfinite(measurement.uncertainty[0]))
-    # What fits to the last digit shows no noise to judge by.
-    if slopes is None or not (is_known or np.any(measurement.compared(y[None]))):
+    if slopes is None:
         return None
-    kinds: tuple[NoiseKind, ...] = ("correlated", "sensor") if is_known else ("correlated",)
     # Small residuals alone, as those of data without noise, would call everything determined.
+    kinds: tuple[NoiseKind, ...] = ("correlated", "sensor")
     raised = max(noise_of(kind, measurement, y, len(names)).raised for kind in kinds)
     found = judged_slopes(names, slopes, raised, prior=prior)
     return Determined(

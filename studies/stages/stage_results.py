@@ -277,6 +277,7 @@ class EquationsFound:
         why_not: Why none were learnt, None where they were.
         without_effect: Parameters that changed nothing in any simulation.
         n_alone: Simulations of single experiments that they were learnt from before any whole row.
+        is_given_up: Whether their last proposals gained less than they err by.
     """
 
     n_states: int
@@ -288,6 +289,7 @@ class EquationsFound:
     why_not: str | None
     without_effect: tuple[str, ...]
     n_alone: int = 0
+    is_given_up: bool = False
 
     @property
     def sentence(self) -> str:
@@ -298,6 +300,8 @@ class EquationsFound:
         learnt += f" from {count(self.n_alone, 'simulation')} of single experiments" if self.n_alone else ""
         if self.are_believed:
             end = f"{learnt}, and {calls} went where they expect the lowest error"
+            if self.is_given_up:
+                end += "; the last ones gained less than the equations err by, so no more were asked there"
             if self.without_effect:
                 end += f"; {listed(self.without_effect)} changed nothing in any simulation"
         elif self.why_not is None:

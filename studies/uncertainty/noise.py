@@ -21,7 +21,6 @@ from typing import Literal
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.measurement import Measurement
 from studies.calibration.prior import independent_samples as declared_independent_samples
 from studies.calibration.prior import worth_of
@@ -83,24 +82,15 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         measurement: What was measured.
         y: The best simulation. Shape (t, k). [per output]
         n_parameters: Parameters that were fitted to it.
-
-    Raises:
-        InputError: The residuals vanish, and the sensor's uncertainty is not known.
     """
     m, sensor = measurement.n_samples, float(measurement.uncertainty[0])
     parts = [measurement.scatter(y, k) for k in measurement.measured]
     n_measured = sum(len(part) for part in parts)
     # Limits that are kept say nothing of noise, but all residuals are scaled by the number of all of them.
     squares = sum(float(part @ part) for part in parts) * (n_measured / m)
-    is_known = bool(np.isfinite(sensor))
-    if kind == "sensor" or (is_known and squares <= n_measured * (VANISHING * sensor) ** 2):
+    if kind == "sensor" or squares <= n_measured * (VANISHING * sensor) ** 2:
         # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
         return Noise("sensor", sensor, m, declared_independent_samples(measurement))
-    if squares <= 0.0:
-        raise InputError(
-            "the best simulation equals the measurement to the last digit, so its residuals show no noise; "
-            "declare the sensor's uncertainty"
-        )
     if kind == "white":
         # m - p degrees of freedom make the estimate of the variance unbiased.
         return Noise(kind, float(np.sqrt(squares / max(n_measured - n_parameters, 1))), m, float(n_measured))

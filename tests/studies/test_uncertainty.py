@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from simulation.counting import CountingModel
-from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
@@ -197,9 +196,10 @@ def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
 def test_a_perfect_fit_shows_no_noise():
     problem = posed(line(), [0.3, -0.4], sigma=0.0)
     y = problem.model.simulate(np.array([[0.3, -0.4]])).y[0]
-    with pytest.raises(InputError, match="to the last digit"):
-        noise_of("white", problem.measurement, y, 2)
-    assert noise_of("sensor", problem.measurement, y, 2).deviation == SIGMA
+    # So it is the sensor's, whatever is asked for.
+    for kind in ("correlated", "white", "sensor"):
+        noise = noise_of(kind, problem.measurement, y, 2)
+        assert (noise.kind, noise.deviation) == ("sensor", SIGMA)
 
 
 @pytest.mark.parametrize("rate", [0.0, 30.0])
