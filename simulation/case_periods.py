@@ -259,7 +259,9 @@ def _samples(
             "correct the file"
         )
     # A sample that a rounding puts outside belongs to the first or last output time.
-    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside], interval)
+    named = f"{recording.time_column} = " if recording.clock == "seconds" else ""
+    stamps = tuple(f"{named}{recording.stamps[row]}" for row in np.flatnonzero(inside) if recording.stamps)
+    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside], interval, stamps)
 
 
 def _as_key(key: str, days: tuple[float, float], unit: TimeUnit) -> str:

@@ -48,6 +48,7 @@ class Recording:
         time_column: Column that the times were read from.
         first_line: Number of the line of the first sample.
         units: Units that a line after the header says, by the names of the columns.
+        stamps: The times as the file writes them. Length m.
     """
 
     path: Path
@@ -57,6 +58,7 @@ class Recording:
     time_column: str = TIME_COLUMN
     first_line: int = 2
     units: Mapping[str, str] = field(default_factory=dict)
+    stamps: tuple[str, ...] = ()
 
     @property
     def step_s(self) -> float:
@@ -136,7 +138,8 @@ def read_recording(
         columns = {name: reader.numbers(column, has_commas=has_commas) for name, column in asked.items()}
     said = {name: (units or {}).get(column, "") for name, column in asked.items()}
     said = {name: one for name, one in said.items() if one}
-    return Recording(path, time, columns, clock, time_name, table.first_line, said)
+    written = tuple(cells[time_name])
+    return Recording(path, time, columns, clock, time_name, table.first_line, said, written)
 
 
 @contextmanager

@@ -21,11 +21,13 @@ class Samples:
         values: Measured values. Shape (m,). [output's unit]
         interval: Of means: from when on and until when each of them goes, relative to its time; (0, 0) for
             values of moments. [s]
+        stamps: The times as the recording writes them, to be found there again; empty where there is none.
     """
 
     time: FloatArray
     values: FloatArray
     interval: tuple[float, float] = MOMENT
+    stamps: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.time.shape != self.values.shape or self.time.ndim != 1:

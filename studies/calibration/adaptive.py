@@ -124,7 +124,8 @@ class Adaptive(SearchSettings):
         search = AdaptiveSearch(self, problem, recorder, rng, known, learned_ode, network)
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
-            with threadpool_limits(limits=1, user_api="blas"):
+            # What overflows counts as failed, and is no news to who calibrates.
+            with threadpool_limits(limits=1, user_api="blas"), np.errstate(all="ignore"):
                 ending = search.run()
         except BudgetExceeded as end:
             missed = "" if self.target_mse is None else f"; the target of {self.target_mse:g} is missed"
@@ -133,13 +134,14 @@ class Adaptive(SearchSettings):
         best = recorder.best
         if best is not None and best.failures[0]:
             reason = f"no simulation succeeded, the first one: {best.failures[0]}; {reason}"
-        return recorder.result(
-            AdaptiveResult,
-            reason,
-            converged=ending.converged,
-            n_rounds=search.n_rounds,
-            expected_gain=search.expected_gain,
-            left="" if ending.converged else search.left,
-            is_flat=search.is_flat,
-            slopes=search.slopes,
-        )
+        with np.errstate(all="ignore"):
+            return recorder.result(
+                AdaptiveResult,
+                reason,
+                converged=ending.converged,
+                n_rounds=search.n_rounds,
+                expected_gain=search.expected_gain,
+                left="" if ending.converged else search.left,
+                is_flat=search.is_flat,
+                slopes=search.slopes,
+            )

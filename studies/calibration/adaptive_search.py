@@ -15,10 +15,12 @@ from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.box_newton import Expansion
 from studies.calibration.coefficient import LEAST_TO_LEARN
 from studies.calibration.confirmation import least_unlikely
+from studies.calibration.differences import difference_rows, difference_slopes
 from studies.calibration.ending import Confirmation, Ending, still_falling
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import first_points
+from studies.calibration.largest_samples import outlying_part
 from studies.calibration.learned_ode import LearnedODE, enough_for_equations
 from studies.calibration.network_search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -89,6 +91,11 @@ class AdaptiveSearch:
         self._residuals = np.empty((0, problem.measurement.n_samples))
         self._penalty = np.empty(0)
         self._window = TruncatedWindow(problem.measurement)
+        self._sensor = float(problem.measurement.uncertainty[0])
+        # Slopes of the residuals beside an exact fit, once the model was asked for them.
+        self._differences: FloatArray | None = None
+        # What the last proposals of state equations erred by, as long as they gained less.
+        self._vain = list[float]()
         # None until a search has shown whether it explains enough.
         self._was_truncated: bool | None = None
         self._has_probed = False
@@ -99,7 +106,7 @@ class AdaptiveSearch:
         self._radius = SEARCH.radius
         self._n_alone = 0
         self._phase = SearchPhase()
-        self._confirmation = Confirmation()
+        self._confirmation = self._no_confirmation
         self.n_rounds = 0
         self.expected_gain = np.inf
         self._n_acting = problem.n_acting
@@ -125,15 +132,23 @@ class AdaptiveSearch:
         """
         if self._n_design and self._believed is None:
             self._ask_first(first_points(self._n_design, self._p, self._rng))
-        while not isinstance(move := self._next(), Ending):
-            move()
-        return move
+        while True:
+            try:
+                move = self._next()
+                if isinstance(move, Ending):
+                    return move
+                move()
+            # Rows that no surrogate can be fitted to: other rows may show more.
+            except np.linalg.LinAlgError:
+                self._ask_anywhere()
 
     def _next(self) -> Callable[[], None] | Ending:
         """Return what is done next, or why the search ends."""
         target = self._settings.target_mse
         if target is not None and self._recorder.best_mse <= target:
             return Ending("the target is reached", converged=True)
+        if target is None and self._is_outdone and not self._is_too_large:
+            return self._ending_outdone
         # What equations have left of the first design is asked once they are not believed.
         if len(self._unasked) and self._believed is None:
             return self._ask_rest
@@ -150,10 +165,7 @@ class AdaptiveSearch:
             self._network = None
         self._adapt_window()
         if self._fits_exactly:
-            return Ending(
-                f"the best simulation leaves {SEARCH.exact:g} of the measured variance or less",
-                converged=True,
-            )
+            return self._compare_beside if self._needs_slopes else self._ending_exactly
         if not self._phase_is_over:
             return self._search if n_good > 1 else self._ask_by_equations
         if self._is_at_best and not self._window.is_whole and self._may_double_window:
@@ -182,6 +194,31 @@ class AdaptiveSearch:
         return self._recorder.best_mse == 0.0 or 0.0 < self._unexplained <= SEARCH.exact
 
     @property
+    def _needs_slopes(self) -> bool:
+        """Whether the model has to be asked what it does beside an exact fit, and may be asked.
+
+        A surrogate knows a ridge from rows that lie along it, and an exact fit comes before there are any.
+        """
+        is_affordable = self._settings.max_calls - self._recorder.n_calls >= 2 * self._p
+        return self._believed is None and self._differences is None and is_affordable
+
+    def _compare_beside(self) -> None:
+        """Ask rows on both sides of the best one along every parameter, for the slopes there."""
+        n, best = self._objective.size, int(np.argmin(self._objective))
+        # So far inside that no side is cut: a one-sided difference shows a slope along a bent ridge.
+        inside = np.clip(self._u[best], SEARCH.beside, 1.0 - SEARCH.beside)
+        self._ask(difference_rows(inside, SEARCH.beside)[1:])
+        rows = [best, *range(n, self._objective.size)]
+        self._differences = difference_slopes(self._u[rows], self._residuals[rows]).T
+
+    @property
+    def _ending_exactly(self) -> Ending:
+        """Why a search ends that has nothing left to gain."""
+        within = math.sqrt(self._recorder.best_mse) / self._sensor
+        said = f"the best simulation fits within {within:.2g} of the sensor's uncertainty (RMS)"
+        return Ending(said, converged=within <= 1.0)
+
+    @property
     def _has_settled(self) -> bool:
         """Whether around the best row of all nothing more is expected, and not for failures alone."""
         has_ended = self._is_at_best and self._phase.n_stagnant >= SEARCH.stagnant_rounds
@@ -204,20 +241,33 @@ class AdaptiveSearch:
         rounds = SEARCH.stall_rounds if is_at_best else SEARCH.stall_rounds_away
         owed = SEARCH.stall_gain if is_at_best else SEARCH.stall_gain_away
         lowest = phase.lowest
-        return len(lowest) > rounds and lowest[-1] > (1.0 - owed) * lowest[-1 - rounds]
+        if len(lowest) <= rounds:
+            return False
+        outlying = self._outlying(self._phase_row)
+        return lowest[-1] - outlying > (1.0 - owed) * (lowest[-1 - rounds] - outlying)
+
+    def _outlying(self, row: int) -> float:
+        """Return the part of a row's error that is its largest samples'; gains are measured without it."""
+        return outlying_part(self._window.seen(self._residuals[[row]])[0], self._sensor)
+
+    @property
+    def _phase_row(self) -> int:
+        """The phase's row of the lowest objective, or the last row where it has none."""
+        first = min(self._phase.first, self._objective.size - 1)
+        return first + int(np.argmin(self._objective[first:]))
 
     def _test(self) -> None:
         """Ask where a lower error is least unlikely, all over the box; go on from what is better."""
         best = int(np.argmin(self._objective))
-        here, before = self._u[best], float(self._objective[best])
+        here, before, outlying = self._u[best], float(self._objective[best]), self._outlying(best)
         rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
         process, n_before = self._fit(), self._objective.size
         self._weigh_failures(before)
         places, gains = least_unlikely(
-            process, self._penalty_expected, (here, before), rows, n_parallel, self._rng
+            process, self._penalty_expected, (here, before), rows, n_parallel, self._rng, outlying=outlying
         )
         self._ask(places)
-        if self._objective.min() < (1.0 - self._settings.ftol) * before:
+        if self._objective.min() - outlying < (1.0 - self._settings.ftol) * (before - outlying):
             self._phase = SearchPhase()
             return
         # What fails confirms nothing.
@@ -262,9 +312,10 @@ class AdaptiveSearch:
         assert self._believed is not None, "they propose the point"
         point, expected = self._believed.propose(self._objective, self._u, self._rng)
         lowest = float(self._objective.min(initial=np.inf))
+        rest = lowest - (self._outlying(int(np.argmin(self._objective))) if self._objective.size else 0.0)
         promise = lowest - expected.value
-        if promise <= self._least_gain * lowest < np.inf:
-            self.expected_gain = max(promise / lowest, 0.0) if lowest > 0.0 else 0.0
+        if promise <= self._least_gain * rest < np.inf:
+            self.expected_gain = max(promise / rest, 0.0) if rest > 0.0 else 0.0
             self._phase.n_idle += 1
             self._forget_proposal()
             return
@@ -293,7 +344,8 @@ class AdaptiveSearch:
     @property
     def _believed(self) -> LearnedODE | None:
         """The state equations where they propose the next point: they are known in the whole box."""
-        return self._ode if self._ode is not None and self._ode.is_believed else None
+        is_believed = self._ode is not None and self._ode.is_believed and not self._ode.is_given_up
+        return self._ode if is_believed else None
 
     @property
     def _is_sure(self) -> bool:
@@ -345,8 +397,13 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present window and begin a search phase at the best."""
         self._judge()
-        self._confirmation = Confirmation()
+        self._confirmation = self._no_confirmation
         self._phase, self._radius = SearchPhase(), SEARCH.radius
+
+    @property
+    def _no_confirmation(self) -> Confirmation:
+        """Tests and restarts before any was made."""
+        return Confirmation(n_owed=SEARCH.restarts_owed_to_one if self._p == 1 else SEARCH.restarts_owed)
 
     def _judge(self) -> None:
         error = np.mean(self._window.seen(self._residuals) ** 2, axis=1)
@@ -371,16 +428,17 @@ class AdaptiveSearch:
         centre, lowest = self._u[best], float(self._objective[best])
         self._weigh_failures(lowest)
         points, expected = self._propose(process, centre)
-        promise = lowest - expected.value
-        share = promise / lowest if lowest > 0.0 else 0.0
-        if self._is_sure and promise <= self._least_gain * lowest:
+        outlying = self._outlying(best)
+        promise, rest = lowest - expected.value, lowest - outlying
+        share = promise / rest if rest > 0.0 else 0.0
+        if self._is_sure and promise <= self._least_gain * rest:
             # The equations are exact, so that rows add nothing: the optimum is only searched for again.
             self.expected_gain = max(share, 0.0)
             phase.n_idle += 1
             self._forget_proposal()
             return
         is_settled = self._confirmation.n_tested and self._has_whole_region and self._believed is None
-        if is_settled and self._is_at_best and promise <= self._ftol * lowest:
+        if is_settled and self._is_at_best and promise <= self._ftol * rest:
             # Nothing that was asked since the first test has changed what is expected here.
             self.expected_gain = share
             phase.n_idle += 1
@@ -391,7 +449,8 @@ class AdaptiveSearch:
             is_end = np.abs(points[0] - centre).max() < SEARCH.at_the_edge * self._radius
             is_end |= np.abs(points[0] - self._u[home]).max() < SEARCH.came_back
             # In another valley, no call is spent where its bottom is excluded already.
-            if is_end and is_surely_no_better(process, points[0], expected, float(self._objective[home])):
+            best_of_all = float(self._objective[home]), self._outlying(home)
+            if is_end and is_surely_no_better(process, points[0], expected, *best_of_all):
                 self._turn()
                 return
         predicted = self._ode.predicted if self._ode is not None else None
@@ -409,11 +468,35 @@ class AdaptiveSearch:
             predicted = self._expand(process, points[0], SEARCH.caution).value
         # A surrogate that errs at its favourite point ends no
         # search (docs/notes/adaptive-search.md, Truncated windows).
-        if is_surprised(float(found[0]), predicted, expected.value, lowest):
+        if self._believed is not None:
+            self._note_proposal(gain, abs(float(found[0]) - predicted), rest)
+        values = (float(found[0]), predicted, expected.value, lowest)
+        if is_surprised(*(value - outlying for value in values)):
             hope = np.inf
-        phase.n_idle = phase.n_idle + 1 if hope <= self._ftol * lowest else 0
-        phase.n_stagnant = phase.n_stagnant + 1 if hope <= stagnant * lowest else 0
+        phase.n_idle = phase.n_idle + 1 if hope <= self._ftol * rest else 0
+        phase.n_stagnant = phase.n_stagnant + 1 if hope <= stagnant * rest else 0
         phase.lowest.append(self._phase_best)
+
+    def _note_proposal(self, gain: float, error: float, rest: float) -> None:
+        """Give up state equations whose proposals have gained less than they err by.
+
+        Args:
+            gain: What the last one gained. [unit squared]
+            error: What its objective differs by from the equations'. [unit squared]
+            rest: What gains are measured against. [unit squared]
+        """
+        # A proposal that failed shows nothing of what the equations err by.
+        self._vain = [*self._vain, error / rest] if gain < error < np.inf and rest > 0.0 else []
+        if len(self._vain) >= SEARCH.vain_proposals and self._ode is not None:
+            self._ode.is_given_up = True
+            # What is left to gain is less than what the equations err by, unless these err elsewhere.
+            self._phase = SearchPhase()
+
+    @property
+    def _is_outdone(self) -> bool:
+        """Whether the equations were given up and err by no more than what makes an answer wrong."""
+        is_given_up = self._ode is not None and self._ode.is_given_up
+        return is_given_up and max(self._vain, default=np.inf) <= SEARCH.promised
 
     @property
     def _phase_best(self) -> float:
@@ -428,8 +511,13 @@ class AdaptiveSearch:
     @property
     def _is_too_large(self) -> bool:
         """Whether the best error is above the misfit threshold."""
-        threshold = self._settings.misfit_threshold
-        return threshold is not None and self._recorder.best_mse > threshold
+        threshold, best_mse = self._settings.misfit_threshold, self._recorder.best_mse
+        # One wrong sample says nothing against the fit of all others.
+        return (
+            threshold is not None
+            and best_mse > threshold
+            and best_mse - self._outlying(int(np.argmin(self._objective))) > threshold
+        )
 
     @property
     def _is_tried(self) -> bool:
@@ -469,6 +557,16 @@ class AdaptiveSearch:
         beyond = f", but {self._ode_error}" if self._ode_error else ""
         reason = f"the state equations expect {little}{nowhere}{missed}{beyond}"
         return Ending(reason, converged=(target is None or self._is_sure) and not beyond)
+
+    @property
+    def _ending_outdone(self) -> Ending:
+        """Why a search ends whose equations know the optimum as well as they can."""
+        n, error = len(self._vain), max(self._vain)
+        return Ending(
+            f"the last {n} simulations at the optimum of the state equations gained less than the equations "
+            f"err by ({error:.2g} of the error): at most {SEARCH.promised:g} of it could still be gained",
+            converged=True,
+        )
 
     @property
     def _ode_error(self) -> str:
@@ -513,7 +611,8 @@ class AdaptiveSearch:
         across = np.tile(self._u[best], (self._p, SEARCH.n_across, 1))
         across[np.arange(self._p), :, np.arange(self._p)] = np.linspace(0.0, 1.0, SEARCH.n_across)
         errors = process.errors(across.reshape(-1, self._p)).reshape(self._p, SEARCH.n_across)
-        return np.asarray(np.ptp(errors, axis=1) <= SEARCH.flat * self._objective[best])
+        rest = self._objective[best] - self._outlying(best)
+        return np.asarray(np.ptp(errors, axis=1) <= SEARCH.flat * rest)
 
     @property
     def slopes(self) -> FloatArray | None:
@@ -526,13 +625,21 @@ class AdaptiveSearch:
         """
         best = self._u[int(np.argmin(self._objective))]
         if self._believed is not None:
+            slopes = self._believed.slopes(best)
             # R alone has the slopes' singular values and products, in p rows.
-            return np.asarray(np.linalg.qr(self._believed.slopes(best), mode="r"))
+            return np.asarray(np.linalg.qr(slopes, mode="r")) if np.isfinite(slopes).all() else None
+        if self._differences is not None:
+            return np.asarray(np.linalg.qr(self._differences, mode="r"))
+        if self._fits_exactly:
+            return None
         process = self._last_process
         if process is None:
             return None
         # The Hessian is 2 J' J / m, with what the variance adds: its root is J but for a rotation, in p rows.
-        squares, axes = np.linalg.eigh(0.5 * self._residuals.shape[1] * process.expand(best, 1.0).hessian)
+        hessian = 0.5 * self._residuals.shape[1] * process.expand(best, 1.0).hessian
+        if not np.isfinite(hessian).all():
+            return None
+        squares, axes = np.linalg.eigh(hessian)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T)
 
     @cached_property
@@ -541,7 +648,10 @@ class AdaptiveSearch:
         is_enough = self._window.is_whole and self._objective.size > self._n_first
         if not is_enough or not 0.0 < self._objective.min() < np.inf or self._is_sane.sum() < 2:
             return None
-        return self._fit()
+        try:
+            return self._fit()
+        except np.linalg.LinAlgError:
+            return None
 
     def _forget_proposal(self) -> None:
         """Forget the last point of the state equations, which is not simulated."""
@@ -568,7 +678,8 @@ class AdaptiveSearch:
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._keep(answer)
         if self._window.is_whole:
-            self._confirmation = self._confirmation.after(float(self._objective.min()))
+            best = int(np.argmin(self._objective))
+            self._confirmation = self._confirmation.after(float(self._objective[best]), self._outlying(best))
 
     def _keep(self, answer: Evaluation) -> None:
         """Take rows among those that the search learns from."""
@@ -636,7 +747,10 @@ class AdaptiveSearch:
         """Return where a restarted phase begins, one point for each parallel row."""
         expand, shape = partial(self._expand, process), (self._settings.n_parallel, self._p)
         if self._phase.is_far:
-            return least_excluded(expand, float(self._objective.min()), shape, self._rng)
+            best = int(np.argmin(self._objective))
+            return least_excluded(
+                expand, float(self._objective[best]), shape, self._rng, outlying=self._outlying(best)
+            )
         return farther_along(expand, shape, self._rng)
 
     def _propose(self, process: ProcessGroups, centre: FloatArray) -> tuple[FloatArray, Expansion]:

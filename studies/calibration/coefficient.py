@@ -71,7 +71,9 @@ class Coefficient:
     slopes: FloatArray | None = None
     formula: ProductSum | None = None
 
+    # What overflows is no formula.
     @classmethod
+    @np.errstate(all="ignore")
     def fit(cls, points: Points, values: FloatArray, products: Products) -> Self | None:
         """Learn it; return None where it is no formula, or too few rows show it.
 

@@ -27,6 +27,8 @@ def least_unlikely(
     rows: tuple[FloatArray, BoolArray],
     n: int,
     rng: np.random.Generator,
+    *,
+    outlying: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the places where an error worth having is least unlikely, and what the functions promise.
 
@@ -37,12 +39,15 @@ def least_unlikely(
         rows: All rows, shape (m, p) [1], and which of them succeeded, shape (m,).
         n: How many places, each beyond `known` of the others as far as there are such.
         rng: Source of the functions and of the descents' starts.
+        outlying: Part of the objective that is its largest samples', without which gains are measured.
+            [unit squared]
 
     Returns:
         The places, shape (n, p), and by which part of the best row's objective the functions' minima lie
         below it, shape (d,). [1]
     """
     (centre, objective), (u, good) = best, rows
+    rest = objective - outlying
     p = centre.size
     ends = []
     for anywhere in rng.random((SEARCH.n_drawn, p)):
@@ -55,9 +60,10 @@ def least_unlikely(
             ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=SEARCH.rough))
     places = np.array([place for place, _ in ends])
     values = np.array([there.value for _, there in ends]).reshape(SEARCH.n_drawn, 2)
-    gains = 1.0 - values.min(axis=1) / objective
+    gains = 1.0 - (values.min(axis=1) - outlying) / rest
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
-    scores = np.array([_unlikely(process, prior, place, SEARCH.worth * objective) for place in places])
+    wanted = SEARCH.worth * rest + outlying
+    scores = np.array([_unlikely(process, prior, place, wanted) for place in places])
     # Where the nearest row failed, the next one probably fails as well.
     # They come after all others, in the order among themselves.
     scores[~good[np.argmin(distances, axis=1)]] += np.ptp(scores) + 1.0

@@ -36,16 +36,24 @@ class Confirmation:
         best: Best objective at that gain. [unit squared]
         n_restarts: Restarts since then.
         gains: Of every round of tests the relative gains at minima of functions drawn for it. [1]
+        n_owed: Restarts without gain before a search may converge.
     """
 
     best: float = np.inf
     n_restarts: int = 0
     gains: list[FloatArray] = field(default_factory=list)
+    n_owed: int = SEARCH.restarts_owed
 
-    def after(self, best: float) -> "Confirmation":
-        """Return the tests that still count at a lowest objective [unit squared]: none made before a gain."""
+    def after(self, best: float, outlying: float = 0.0) -> "Confirmation":
+        """Return the tests that still count at a lowest objective: none made before a gain.
+
+        Args:
+            best: The objective. [unit squared]
+            outlying: Its largest samples' part, without which gains are measured. [unit squared]
+        """
         # `best` moves at such a gain alone, so that many small gains together count as one.
-        return Confirmation(best) if best < (1.0 - SEARCH.confirmed) * self.best else self
+        is_gain = best - outlying < (1.0 - SEARCH.confirmed) * (self.best - outlying)
+        return Confirmation(best, n_owed=self.n_owed) if is_gain else self
 
     def note_test(self, gains: FloatArray) -> None:
         """Take note of a round of tests."""
@@ -74,7 +82,7 @@ class Confirmation:
     @property
     def has_looked(self) -> bool:
         """Whether the restarts that are owed were made."""
-        return self.n_restarts >= SEARCH.restarts_owed
+        return self.n_restarts >= self.n_owed
 
     @property
     def in_words(self) -> str:
@@ -119,7 +127,7 @@ class Confirmation:
                 f"a gain of up to {self.promised:.2g} of the error is not excluded in the box; "
                 "another seed begins anew"
             )
-        owed = SEARCH.restarts_owed
+        owed = self.n_owed
         tests = f"{min(self.n_tested, owed + 1)} of {owed + 1} rounds of tests"
         restarts = f"{min(self.n_restarts, owed)} of {owed} restarts"
         return (

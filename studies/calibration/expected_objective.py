@@ -21,7 +21,9 @@ def expected_objective(
     return found if prior is None else found + prior.expand(u)
 
 
-def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, best: float) -> bool:
+def is_surely_no_better(
+    process: Surrogate, u: FloatArray, expected: Expansion, best: float, outlying: float = 0.0
+) -> bool:
     """Return whether a point is not worth a call: the best row is as good, as far as can be predicted.
 
     Args:
@@ -29,9 +31,11 @@ def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, 
         u: The point. Shape (p,). [1]
         expected: The objective expected there.
         best: Objective of the best row. [unit squared]
+        outlying: Its largest samples' part, without which gains are measured. [unit squared]
     """
-    there = process.expand(u, 1.0)
-    return there.value - there.mse < SEARCH.uncertain * best and expected.value > SEARCH.as_good * best
+    there, rest = process.expand(u, 1.0), best - outlying
+    is_known = there.value - there.mse < SEARCH.uncertain * rest
+    return is_known and expected.value - outlying > SEARCH.as_good * rest
 
 
 def is_surprised(found: float, predicted: float, favourite: float, best: float) -> bool:

@@ -11,6 +11,8 @@ MOST_CHANGES, MOST_GUESSES = 100, 60
 SAME_TIME = 1e-9
 # Below a norm of 1/2 the next term of the series is less than rounding.
 N_TERMS = 13
+SOLVED = ("root", "square", "natural convection", "magnitude", "sine", "cosine")
+"""Functions of `state_terms.FUNCTIONS` that steps take, by the number of each from 1 on."""
 # Up to so many states a call of BLAS takes longer than the product itself (4.3 instead of 2.3 us with four).
 SMALL = 8
 
@@ -49,7 +51,7 @@ def _fill(into: FloatArray, value: float) -> None:
 
 @compiled
 def _bent(function: int, value: float) -> float:
-    """Take a function of a value, by its place from 1 on in `state_terms.FUNCTIONS`."""
+    """Take a function of a value, by its place from 1 on in `SOLVED`; NaN beyond."""
     size = abs(value)
     if function == 1:
         return float(np.sqrt(size) if value >= 0.0 else -np.sqrt(size))
@@ -59,7 +61,9 @@ def _bent(function: int, value: float) -> float:
         return float(value * np.cbrt(size))
     if function == 4:
         return size
-    return float(np.sin(value) if function == 5 else np.cos(value))
+    if function == 5:
+        return float(np.sin(value))
+    return float(np.cos(value)) if function == 6 else np.nan
 
 
 @compiled

@@ -20,6 +20,7 @@ from studies.calibration.coefficient import LEAST_TO_LEARN, Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationExperiments, EquationModel
 from studies.calibration.hidden_inputs import Course, LocalVariables
+from studies.calibration.largest_samples import outlying_part
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
 from studies.calibration.search_constants import SEARCH
@@ -54,6 +55,7 @@ PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
 
 DIFFERENT = "not all simulations follow the same ones"
+NOT_FINITE = "numbers overflow where they are fitted"
 
 LEAST_CALLS = LEAST_TO_LEARN + 1
 """The rows that the simplest equations are learnt from, and the best point that these expect."""
@@ -84,6 +86,7 @@ class LearnedODE:
         self._course: Course | None = None
         self._seen = seen
         self._problem = problem
+        self._sensor = float(problem.measurement.uncertainty[0])
         self._products = Products.of(problem.space)
         self._u = np.empty((0, problem.space.n_parameters))
         self._rows: list[StateRows] = []
@@ -92,7 +95,7 @@ class LearnedODE:
         self._n_examined = 0
         self._is_refuted = False
         self._equations: StateEquations | None = None
-        self._is_given = False
+        self._is_given = self.is_given_up = False
         self.predicted: float | None = None
         self._ends = self._u
         self._n_failed = 0
@@ -150,7 +153,8 @@ class LearnedODE:
         mse = np.mean(self._answered**2, axis=1)
         best = int(np.argmin(mse))
         error = self._errors(self._u[[best]], self._answered[[best]])[0]
-        share = float(error / (mse[best] + np.finfo(float).tiny))
+        rest = mse[best] - outlying_part(self._answered[best], self._sensor)
+        share = float(error / (rest + np.finfo(float).tiny))
         return share if np.isfinite(share) else np.inf
 
     @property
@@ -293,7 +297,11 @@ class LearnedODE:
             self._is_given = self._mismatch <= MATCHED
             if self._is_given:
                 return
-        learnt = self._learnt()
+        try:
+            learnt = self._learnt()
+        # As of a matrix that is not finite: what cannot be fitted is not learnt.
+        except np.linalg.LinAlgError:
+            learnt = NOT_FINITE
         if is_missed and isinstance(learnt, str):
             # Formulas that held and hold no more: this row belongs to another regime.
             learnt, self._is_refuted = DIFFERENT, True
@@ -302,6 +310,7 @@ class LearnedODE:
         self._equations = None if isinstance(learnt, str) else learnt
         self._mismatch = self._mismatch_of(self._u[-N_MATCHED:], self._answered[-N_MATCHED:])
 
+    @np.errstate(all="ignore")
     def _learnt(self) -> StateEquations | str:
         """Learn the equations from all rows; say in words why there are none."""
         if self._structure is None:
@@ -384,7 +393,7 @@ class LearnedODE:
         """Return how equations, solved, differ from what was simulated, as a share of errors. [1]."""
         if self._equations is None:
             return 0.0
-        mse = np.mean(answered**2, axis=1)
+        mse = np.mean(answered**2, axis=1) - [outlying_part(row, self._sensor) for row in answered]
         shares = self._errors(u, answered) / (mse + MATCHED * np.median(mse))
         return float(np.max(np.where(np.isfinite(shares), shares, np.inf)))
 

@@ -139,6 +139,8 @@ def shortest_product(products: Products, theta: FloatArray, value: float, amount
     return ProductSum(amount * np.sign(shares[found[:1]]), powers[found[:1]])
 
 
+# In boxes of many decades products overflow: what is not finite is no candidate.
+@np.errstate(all="ignore")
 def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> ProductSum | None:
     """Explain values exactly by one product, or by the sum of two or three or its reciprocal.
 
@@ -155,6 +157,8 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     # A part of the rows proposes products, all rows judge them.
     some = spread(len(values), MOST_ROWS)
     table = values_of(products.powers, theta[some])
+    # A column of zeros explains nothing.
+    table = np.where(np.isfinite(table).all(axis=0), table, 0.0)
     # One product goes first: in a sum, a second one would only absorb its error (the same note).
     left, formula = _judged(products.powers[[_single(table, values[some])]], theta, values)
     if left < EXACT:
@@ -197,12 +201,15 @@ def _judged(
     columns, goal = values_of(powers, theta) * weight[:, None], values * weight
     norms = np.sqrt(np.square(columns).sum(axis=0))
     # Products of different units differ by decades; columns of length 1 make the fit well conditioned.
-    amounts = np.linalg.lstsq(columns / norms, goal, rcond=None)[0] / norms
+    scaled = columns / norms
+    if not (np.isfinite(scaled).all() and np.isfinite(goal).all()):
+        return np.inf, ProductSum(np.zeros(len(powers)), powers, is_reciprocal)
+    amounts = np.linalg.lstsq(scaled, goal, rcond=None)[0] / norms
     error = columns @ amounts - goal
     # Weighted, a constant is the weight itself: its projection is what a constant explains.
     around = goal - weight * (weight @ goal) / (weight @ weight)
     left = float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
-    return left, ProductSum(amounts, powers, is_reciprocal)
+    return left if np.isfinite(left) else np.inf, ProductSum(amounts, powers, is_reciprocal)
 
 
 def _weight(values: FloatArray) -> FloatArray:
@@ -216,7 +223,8 @@ def _single(table: FloatArray, values: FloatArray) -> int:
     weight = _weight(values)
     table, values = table * weight[:, None], values * weight
     amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), np.finfo(float).tiny)
-    return int(np.argmin(np.square(values[:, None] - table * amounts).sum(axis=0)))
+    left = np.square(values[:, None] - table * amounts).sum(axis=0)
+    return int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
 
 
 def _pairs(table: FloatArray, values: FloatArray) -> FloatArray:

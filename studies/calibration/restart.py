@@ -36,7 +36,7 @@ def farther_along(expand: Expand, shape: tuple[int, int], rng: np.random.Generat
 
 
 def least_excluded(
-    expand: Expand, best: float, shape: tuple[int, int], rng: np.random.Generator
+    expand: Expand, best: float, shape: tuple[int, int], rng: np.random.Generator, *, outlying: float = 0.0
 ) -> FloatArray:
     """Return points whose predicted excess over a wanted error is the least multiple of its variance.
 
@@ -45,6 +45,8 @@ def least_excluded(
         best: Objective of the best row. [unit squared]
         shape: How many points, and of how many coordinates.
         rng: Source of the descents' starts and the spread points.
+        outlying: Part of the best objective that is its largest samples', which another valley has as well.
+            [unit squared]
 
     Returns:
         The points, the least excluded first. Shape as asked. [1]
@@ -55,7 +57,8 @@ def least_excluded(
     ends = [descend(mean, u, np.zeros(p), np.ones(p))[0] for u in starts]
     # Descents find other valleys of the mean, spread points find places of which next to nothing is known.
     points = np.array([*ends, *inside(rng.random((max(SEARCH.n_spread, n), p)))])
-    scores = [_excess_by_variance(expand, u, SEARCH.wanted * best) for u in points]
+    wanted = SEARCH.wanted * (best - outlying) + outlying
+    scores = [_excess_by_variance(expand, u, wanted) for u in points]
     return first_apart(points, np.array(scores), SEARCH.apart)[:n]
 
 

@@ -268,6 +268,8 @@ class StateEquations:
         # Matrix exponentials are exact: no step has to be refined.
         if isinstance(flow, LinearFlow):
             return equations
+        if flow.unsolved:
+            return f'the function "{flow.unsolved}" has no compiled steps'
         if signals.n_switches:
             switched = equations._with_rules(points, x, products)
             if isinstance(switched, str):

@@ -16,7 +16,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.pool.pool_model import available_cores
-from studies.calibration.state_terms import FUNCTIONS, Sum
+from studies.calibration.state_terms import Sum
 from studies.calibration.states import StateSignals
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
@@ -213,9 +213,10 @@ class SteppedFlow:
     def solver(self) -> Solver:
         """Return what solves the equations from any start over any inputs."""
         # Only who needs it waits for numba.
-        from studies.calibration.flow_steps import steps
+        from studies.calibration.flow_steps import SOLVED, steps
 
-        places, ends = self._places(), np.array([*accumulate(len(one.terms) for one in self.sums)])
+        places = self._places(("", *SOLVED))
+        ends = np.array([*accumulate(len(one.terms) for one in self.sums)])
 
         def solve(
             start: FloatArray, coefficients: FloatArray, driven: FloatArray, step_s: float, every: int
@@ -225,9 +226,16 @@ class SteppedFlow:
 
         return solve
 
-    def _places(self) -> IntArray:
+    @property
+    def unsolved(self) -> str:
+        """Name of a function that terms have and compiled steps do not take, "" for none."""
+        from studies.calibration.flow_steps import SOLVED
+
+        functions = (term.function for one in self.sums for term in one.terms if term.function)
+        return next((name for name in functions if name not in SOLVED), "")
+
+    def _places(self, functions: tuple[str, ...]) -> IntArray:
         """Return of every term where its parts are; see `flow_steps.steps`."""
-        functions = ("", *FUNCTIONS)
         terms = [(one.own, term) for one in self.sums for term in one.terms]
         # Behind the inputs stand a 1 and a 0: with these, every term is a difference times as many factors.
         nothing = len(self.signals.states) + len(self.signals.inputs) + 1

@@ -16,7 +16,10 @@ COLDEST_K, COLDEST_DEGC = 150.0, -100.0
 LIKE_KELVIN = (200.0, 400.0)
 """Values in degC that all lie in between are rather in kelvin."""
 FEW, FAR = 200, 10.0
-"""One value of so many may be far from the others: farther than so many times their own span."""
+"""One value of so many may be far: farther from its neighbours than so many times what others are from
+theirs or, of values that are all the same, farther from the others than so many times their span."""
+N_BESIDE, STEPS = 3, 2.0
+"""Neighbours on each side, and how many times the largest step between others is far. By hand."""
 MANY = 0.2
 """Share of the values that may be one and the same far value, which stands for no value."""
 PYTHON = "python"
@@ -172,12 +175,19 @@ def _is_far_below(values: FloatArray) -> BoolArray:
 
 
 def _is_far(values: FloatArray) -> BoolArray:
-    """Say which values lie far from all others: a few, or more that are all the same. Shape (n,)."""
-    n_most = max(1, len(values) // FEW)
-    others = np.sort(values)[n_most:-n_most]
-    far = np.zeros(len(values), dtype=np.bool_)
-    if len(others) and others[0] < others[-1]:
-        far = np.maximum(others[0] - values, values - others[-1]) > FAR * float(others[-1] - others[0])
+    """Say which values lie far from their neighbours: a few, or more that are all the same. Shape (n,)."""
+    n, n_most = len(values), max(1, len(values) // FEW)
+    far = np.zeros(n, dtype=np.bool_)
+    if n > 2 * n_most + 2:
+        # On a slope and beside a step a value lies between the medians of those before and after it.
+        sides = np.lib.stride_tricks.sliding_window_view(np.pad(values, N_BESIDE - 1, "edge"), N_BESIDE)
+        medians = np.median(sides, axis=1)
+        before, inner, after = medians[: n - 2], values[1:-1], medians[N_BESIDE + 1 :]
+        outside = np.maximum(np.minimum(before, after) - inner, inner - np.maximum(before, after))
+        # One wrong value makes two large steps, to it and back.
+        usual = float(np.sort(outside)[-n_most - 1])
+        step = float(np.sort(np.abs(np.diff(values)))[-2 * n_most - 1])
+        far[1:-1] = outside > max(FAR * usual, STEPS * step)
     for end in (values.min(), values.max()):
         same, rest = values == end, values[(values != end) & ~far]
         if 0 < same.sum() <= MANY * len(values) and len(rest) and np.ptp(rest) > 0.0:

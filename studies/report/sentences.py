@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulation.time_unit import DAY_S, unit_for
 from studies.calibration.misfit_threshold import misfit_threshold
 from studies.console import format_seconds
 from studies.report.wording import (
@@ -13,6 +12,7 @@ from studies.report.wording import (
     count,
     difference_unit,
     listed,
+    moment_of,
     percent,
     quantity,
     shown_unit,
@@ -21,8 +21,8 @@ from studies.report.wording import (
     squared,
 )
 from studies.stages.pipeline import Outcome
-from studies.stages.stage_results import Calibration, Uncertainty
-from studies.uncertainty.noise import Noise
+from studies.stages.stage_results import Calibration, LargestSample, Uncertainty
+from studies.uncertainty.noise import VANISHING, Noise
 
 if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
     from simulation.case import Case
@@ -147,12 +147,16 @@ def _begun(sentence: str) -> str:
 
 
 def _outliers(case: "Case", found: Calibration) -> list[str]:
-    """Name the samples that a robust loss counts less, by output."""
-    said, measurement, (begin_d, end_d) = [], case.measurement, case.window_d
+    """Name the samples that a robust loss counts less, by output, and those that may be wrong."""
+    said, measurement = [], case.measurement
     for k, output in enumerate(case.outputs):
+        unit, largest = difference_unit(output.unit), found.outputs[output.name].largest
         if (loss := output.loss) is None:
+            if largest is not None:
+                # A correlation time and a robust loss exclude each other.
+                is_free = not output.correlation_s
+                said.append(_largest(output.name, largest, unit, may_have_loss=is_free))
             continue
-        unit = difference_unit(output.unit)
         difference = measurement.differences(found.y[None], k)[0]
         n_beyond, worst = np.count_nonzero(np.abs(difference) > loss.scale), np.argmax(np.abs(difference))
         sentence = (
@@ -161,11 +165,20 @@ def _outliers(case: "Case", found: Calibration) -> list[str]:
             "none is left out"
         )
         if n_beyond:
-            at_d = begin_d + float(output.samples.time[worst] - measurement.time[0]) / DAY_S
-            moment = unit_for(end_d * DAY_S).moment(at_d)
+            moment = moment_of(case, output, int(worst))
             sentence += f"; the largest, {quantity(float(difference[worst]), unit)}, at {moment}"
         said.append(sentence)
     return said
+
+
+def _largest(name: str, sample: LargestSample, unit: str, *, may_have_loss: bool) -> str:
+    """Name a sample that stands alone, and what to do about it."""
+    far = "" if sample.times_median is None else f", {sample.times_median:,.0f} times the median difference"
+    less = ', or let it count less with loss = "huber" for this output' * may_have_loss
+    return (
+        f"{name} differs most at {sample.at}, by {quantity(abs(sample.difference), unit)}{far}; "
+        f"if that value is wrong, empty its cell{less}"
+    )
 
 
 def noise_sentence(noise: Noise, unit: str) -> str:
@@ -203,6 +216,8 @@ def uncertainty_sentences(found: Uncertainty, unit: str) -> list[str]:
     said = [noise_sentence(noise, unit)]
     sensor = math.inf if found.sensor is None else found.sensor
     doubtful = misfit_threshold(sensor)
+    if noise.kind == "sensor" and math.sqrt(best) <= VANISHING * sensor:
+        said[0] += " The best fit is within a tenth of it, so that its residuals show no noise."
     if noise.kind != "sensor" and doubtful is not None and best > doubtful:
         said[0] += (
             f" The best fit is off by {significant(math.sqrt(best) / sensor)} times the sensor's "

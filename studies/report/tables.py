@@ -200,8 +200,9 @@ def _note(found: Calibration, name: str, u: float) -> str:
     if name in found.without_effect:
         # A bound that it happens to lie at says nothing.
         note = "the error hardly depends on it"
-    elif not note and (bound := bound_at(u)):
-        note = f"at the {bound} bound: widen it?"
+    elif bound := bound_at(u):
+        # What others compensate goes to any bound: wider ones would not end that.
+        note = f"at the {bound} bound; {note}" if note else f"at the {bound} bound: widen it?"
     known = None if found.prior is None else found.prior.parameters.get(name)
     if known is None:
         return note

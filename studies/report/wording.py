@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from simulation.case import Case
+    from simulation.measurement import MeasuredOutput
 
 MISSING = "–"
 AT_BOUND = 0.01
@@ -60,6 +61,12 @@ def count(value: float, noun: str = "", plural: str = "") -> str:
     """Write a count with its noun, e.g. "1 call", "4,096 calls"."""
     n = round(value)
     return f"{n:,} {noun if n == 1 else plural or f'{noun}s'}" if noun else f"{n:,}"
+
+
+def in_letters(n: int) -> str:
+    """Write a small number in letters, e.g. "four of these five"."""
+    letters = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+    return letters[n] if n < len(letters) else f"{n:,}"
 
 
 def percent(fraction: float | None) -> str:
@@ -115,6 +122,16 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def axis_label(what: str, unit: str) -> str:
     """Write the label of an axis or a column, e.g. "TAir [°C]"."""
     return f"{what} [{unit}]" if unit else what
+
+
+def moment_of(case: Case, output: MeasuredOutput, sample: int) -> str:
+    """Write when a sample was taken: as the recording does, else as the case file counts."""
+    from simulation.time_unit import DAY_S, unit_for  # numpy, which words on the command line do without
+
+    if output.samples.stamps:
+        return output.samples.stamps[sample]
+    since_s = float(output.samples.time[sample] - case.measurement.time[0])
+    return unit_for(case.window_d[1] * DAY_S).moment(case.window_d[0] + since_s / DAY_S)
 
 
 def compared_in(case: Case) -> str:

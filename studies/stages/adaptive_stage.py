@@ -264,4 +264,5 @@ def equations_found(ode: LearnedODE | None, physical: StoredModel) -> EquationsF
         why_not=None if ode.is_learnt else fails if unread else ode.why_not,
         without_effect=tuple(ode.without_effect),
         n_alone=ode.n_alone,
+        is_given_up=ode.is_given_up,
     )

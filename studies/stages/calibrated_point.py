@@ -5,7 +5,6 @@ The simulations of that period are a few per calibration and decide nothing: the
 """
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,22 +18,29 @@ from simulation.measurement import Measurement
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import AdaptiveResult
+from studies.calibration.largest_samples import FAR
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import PolishResult
 from studies.calibration.prior import Prior
 from studies.calibration.recorder import History
 from studies.physical_model import open_physical_model
-from studies.report.wording import difference_unit
+from studies.report.wording import difference_unit, moment_of
 from studies.stages.knowledge import prior_found, prior_of
 from studies.stages.pipeline import Study
-from studies.stages.stage_results import Calibration, Determined, Fit, OutputFit, Validated, ValidatedPoint
+from studies.stages.stage_results import (
+    Calibration,
+    Determined,
+    Fit,
+    LargestSample,
+    OutputFit,
+    Validated,
+    ValidatedPoint,
+)
 from studies.uncertainty.identifiability import judged_slopes
-from studies.uncertainty.noise import noise_of
+from studies.uncertainty.noise import NoiseKind, noise_of
 
 QUICK_S, ENOUGH_CALLS = 1.0, 10
 """The best simulation is repeated where it is quick, or one of so many that one more costs little."""
-CLEAR_PAIR = 0.9
-"""A pair is named that makes up so much of an open direction's squared length."""
 
 
 def calibration_at(
@@ -133,7 +139,7 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
         difference = case.measurement.differences(y[None], k)[0]
         sensor = output.uncertainty
         whole = output_fit(case.measurement, k, output.unit, y)
-        more = dict[str, float]()
+        more = dict[str, Any](largest=_largest(case, k, difference))
         if np.isfinite(sensor):
             more |= {"uncertainty": sensor, "share_within": float(np.mean(np.abs(difference) <= sensor))}
         if output.limits is not None:
@@ -142,6 +148,20 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
             more["share_beyond"] = float(np.mean(excess != 0.0))
         found[output.name] = Fit(whole.rmse, nrmse=whole.nrmse, cv_rmse=whole.cv_rmse, **more)
     return found
+
+
+def _largest(case: Case, k: int, difference: FloatArray) -> LargestSample | None:
+    """Return the sample of an output that stands alone among its differences (m,), None for none."""
+    output, sizes = case.outputs[k], np.abs(difference)
+    worst, median = int(np.argmax(sizes)), float(np.median(sizes))
+    # What the sensor cannot show is no wrong sample, however exact all others are.
+    if not (output.is_measured and sizes[worst] > max(FAR * median, output.uncertainty)):
+        return None
+    return LargestSample(
+        difference=float(difference[worst]),
+        at=moment_of(case, output, worst),
+        times_median=float(sizes[worst]) / median if median else None,
+    )
 
 
 def determined(
@@ -154,6 +174,8 @@ def determined(
 ) -> Determined | None:
     """Return which parameters the data leave open near a point; None where too little is known of slopes.
 
+    The noise is the sensor's declared uncertainty, or what the residuals show, whichever leaves more open.
+
     Args:
         names: Names of the p free parameters.
         measurement: What they were calibrated with.
@@ -161,21 +183,17 @@ def determined(
         y: The simulation at the point. Shape (t, k). [per output]
         slopes: Of the residuals there, in an orthonormal basis. Shape (m, p). [first output's unit per range]
     """
-    # What fits to the last digit shows no noise to judge by.
-    if slopes is None or not np.any(measurement.compared(y[None])):
+    if slopes is None:
         return None
-    noise = noise_of("correlated", measurement, y, len(names))
-    found = judged_slopes(names, slopes, noise.raised, prior=prior)
-    # Two in two open directions, once with each sign, are both open, and none makes up for the other.
-    n_times = Counter((pair.first, pair.second) for pair in found.pairs)
+    # Small residuals alone, as those of data without noise, would call everything determined.
+    kinds: tuple[NoiseKind, ...] = ("correlated", "sensor")
+    raised = max(noise_of(kind, measurement, y, len(names)).raised for kind in kinds)
+    found = judged_slopes(names, slopes, raised, prior=prior)
     return Determined(
         spread=dict(zip(names, found.spread.tolist(), strict=True)),
         open=tuple(name for name in names if name not in found.determined),
-        pairs=tuple(
-            one
-            for one in found.pairs
-            if n_times[one.first, one.second] == 1 and abs(one.strength) >= CLEAR_PAIR
-        ),
+        pairs=found.pairs,
+        ridges=found.ridges,
     )
 
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
-from studies.report.wording import count, listed, percent
+from studies.report.wording import count, in_letters, listed, percent
 from studies.stages.saved import WITH_ARRAYS, Error
 from studies.uncertainty.findings import Compensation
-from studies.uncertainty.identifiability import DETERMINED, Pair
+from studies.uncertainty.identifiability import DETERMINED, Pair, Ridge
 from studies.uncertainty.noise import Noise
 
 ADAPTIVE = "adaptive"
@@ -177,6 +177,21 @@ class Reported:
 
 
 @dataclass(frozen=True)
+class LargestSample:
+    """The sample of an output that differs most, where it stands alone: it may be wrong.
+
+    Attributes:
+        difference: Simulated minus measured. [output's unit]
+        at: Its time, as the recording writes it.
+        times_median: Its size over the median size of the output's differences; None where that is 0. [1]
+    """
+
+    difference: float
+    at: str
+    times_median: float | None
+
+
+@dataclass(frozen=True)
 class Fit:
     """How one output differs from its measurement over the calibrated window.
 
@@ -191,6 +206,7 @@ class Fit:
         largest_excess: How far it lies beyond its limits at most, below 0 under the lower one; None without
             limits. [output's unit]
         share_beyond: Share of the output times at which it does; None likewise. [1]
+        largest: The sample that differs most, where it stands alone; None where none does.
     """
 
     rmse: Error
@@ -200,6 +216,7 @@ class Fit:
     cv_rmse: float | None = None
     largest_excess: float | None = None
     share_beyond: float | None = None
+    largest: LargestSample | None = None
 
 
 @dataclass(frozen=True)
@@ -210,11 +227,13 @@ class Determined:
         spread: Standard deviation of each parameter, as a share of its range. [1]
         open: Parameters that the data leave open.
         pairs: Parameters of which one makes up for the other.
+        ridges: Groups of parameters that make up for each other, and how many of each are free.
     """
 
     spread: dict[str, float]
     open: tuple[str, ...]
     pairs: tuple[Pair, ...]
+    ridges: tuple[Ridge, ...] = ()
 
     def note(self, name: str) -> str:
         """Say that a parameter is open and how far, "" where it is not."""
@@ -231,8 +250,16 @@ class Determined:
             f"The data do not determine {len(self.open)} of {n} (standard deviation at the result of "
             f"{percent(DETERMINED)} of the range or more): {listed(self.open)}"
         )
-        pairs = f"These compensate each other: {'; '.join(pair.in_words for pair in self.pairs)}"
-        return (first, pairs) if self.pairs else (first,)
+        return (first, *map(self._in_words, self.ridges))
+
+    def _in_words(self, ridge: Ridge) -> str:
+        """Say which parameters compensate each other, and how many of them have to be fixed."""
+        n, n_free = len(ridge.names), in_letters(ridge.n_free)
+        how = [one.how for one in self.pairs if n == 2 and (one.first, one.second) == ridge.names]
+        return (
+            f"{listed(ridge.names)} compensate each other{f' ({how[0]})' if how else ''}: the data determine "
+            f"{in_letters(n - ridge.n_free)} of these {in_letters(n)}; fix {n_free} under [fixed]"
+        )
 
 
 @dataclass(frozen=True)
@@ -250,6 +277,7 @@ class EquationsFound:
         why_not: Why none were learnt, None where they were.
         without_effect: Parameters that changed nothing in any simulation.
         n_alone: Simulations of single experiments that they were learnt from before any whole row.
+        is_given_up: Whether their last proposals gained less than they err by.
     """
 
     n_states: int
@@ -261,6 +289,7 @@ class EquationsFound:
     why_not: str | None
     without_effect: tuple[str, ...]
     n_alone: int = 0
+    is_given_up: bool = False
 
     @property
     def sentence(self) -> str:
@@ -271,6 +300,8 @@ class EquationsFound:
         learnt += f" from {count(self.n_alone, 'simulation')} of single experiments" if self.n_alone else ""
         if self.are_believed:
             end = f"{learnt}, and {calls} went where they expect the lowest error"
+            if self.is_given_up:
+                end += "; the last ones gained less than the equations err by, so no more were asked there"
             if self.without_effect:
                 end += f"; {listed(self.without_effect)} changed nothing in any simulation"
         elif self.why_not is None:

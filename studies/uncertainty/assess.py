@@ -16,12 +16,13 @@ from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 from studies.calibration.descent import descend_together, jacobians
+from studies.calibration.differences import difference_rows
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import Recorder
 from studies.uncertainty.annealing import Density, OnShare, Reference, sample_density
 from studies.uncertainty.density import Posterior, roots_of
 from studies.uncertainty.findings import ENDS
-from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
+from studies.uncertainty.identifiability import Identifiability, judged
 from studies.uncertainty.noise import Noise
 from studies.uncertainty.rows import joined
 from studies.uncertainty.sample import (

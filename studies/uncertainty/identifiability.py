@@ -8,10 +8,12 @@ Bounds are looked away from: at one of them a parameter would go on if it might.
 """
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from studies.calibration.differences import difference_slopes
 from studies.calibration.prior import Prior
 from studies.calibration.problem import Evaluation
 
@@ -19,8 +21,12 @@ DETERMINED = 0.1
 """A standard deviation below this share of the range counts as determined by the data; where something was
 known before, below the same part of what it was then."""
 
-A_PAIR = 0.7
-"""A direction that two parameters make up to this share of its squared length is theirs."""
+A_PAIR = 0.9
+"""Two open parameters of at least this correlation are a pair: less than half of one's deviation is left
+where the other one is known."""
+
+ALIKE = 0.3
+"""Cosine in the open directions from which one parameter makes up for a part of another. By hand."""
 
 NULL, NULL_PER_STEP = 1e-6, 5e-3
 """Singular values below this share of the largest are none: the differences are no more exact."""
@@ -37,8 +43,7 @@ class Pair:
     Attributes:
         first: Name of the one.
         second: Name of the other.
-        strength: A correlation, or a direction's share: above 0 the two rise together, below 0 one makes up
-            for the other.
+        strength: Their correlation: above 0 the two rise together, below 0 one rises as the other falls. [1]
     """
 
     first: str
@@ -46,10 +51,22 @@ class Pair:
     strength: float
 
     @property
-    def in_words(self) -> str:
+    def how(self) -> str:
         """How the two compensate."""
-        how = "rise together" if self.strength > 0 else "one rises as the other falls"
-        return f"{self.first} and {self.second}: {how} ({self.strength:+.2f})"
+        return "the two rise together" if self.strength > 0 else "one rises as the other falls"
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Two parameters or more that make up for each other.
+
+    Attributes:
+        names: Names of the n parameters.
+        n_free: How many of them the data leave free: the data determine n - n_free combinations of the n.
+    """
+
+    names: tuple[str, ...]
+    n_free: int
 
 
 @dataclass(frozen=True)
@@ -62,7 +79,7 @@ class Identifiability:
         directions: Right singular vectors, one per row. Shape (p, p). [1]
         noise: Standard deviation of the residuals, raised for those that follow each other.
             [first output's unit]
-        spread: Standard deviation of each parameter, as a share of its range. Shape (p,). [1]
+        covariance: Of the parameters, as shares of their ranges. Shape (p, p). [1]
         before: The same without data, of the range or a prior within it. Shape (p,). [1]
         is_unknown: Which parameters could not be moved, their differences having failed. Shape (p,).
         null: Share of the largest singular value below which the others are none. [1]
@@ -72,34 +89,61 @@ class Identifiability:
     singular_values: FloatArray
     directions: FloatArray
     noise: float
-    spread: FloatArray
+    covariance: FloatArray
     before: FloatArray
     is_unknown: BoolArray
     null: float = NULL
 
     @property
+    def spread(self) -> FloatArray:
+        """Standard deviation of each parameter, as a share of its range. Shape (p,). [1]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
     def determined(self) -> tuple[str, ...]:
         """Parameters that the data determine."""
-        # Without a prior `before` is the root of 1/12, so this is a tenth of the range.
-        limit = DETERMINED * np.sqrt(BOX_PRECISION) * self.before
-        return tuple(n for n, is_so in zip(self.names, self.spread < limit, strict=True) if is_so)
+        return tuple(n for n, is_so in zip(self.names, self._is_open, strict=True) if not is_so)
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
-        """Pairs that the data cannot distinguish: the directions left open that two parameters make up."""
-        found = []
+        """Pairs of open parameters of which the data know one exactly where the other is known."""
+        correlations, is_open = self.covariance / np.outer(self.spread, self.spread), self._is_open
+        return tuple(
+            Pair(self.names[i], self.names[j], float(correlations[i, j]))
+            for i, j in combinations(np.flatnonzero(is_open).tolist(), 2)
+            if abs(correlations[i, j]) >= A_PAIR
+        )
+
+    @property
+    def ridges(self) -> tuple[Ridge, ...]:
+        """Groups of open parameters that make up for each other, by the directions that the data leave open.
+
+        Parameters that no other one makes up for are in none.
+        """
         # Noise over singular value is a direction's deviation; multiplied out, a value of 0 divides nothing.
-        n_determined = int(np.sum(self.noise < DETERMINED * self.singular_values))
-        # The least determined direction comes first: singular values fall.
-        for direction in self.directions[n_determined:][::-1]:
-            i, j = np.argsort(-(direction**2))[:2] if len(direction) > 1 else (0, 0)
-            share = float(direction[i] ** 2 + direction[j] ** 2)
-            # Both must matter: a parameter alone that moves nothing compensates none.
-            if i != j and share >= A_PAIR and abs(direction[j]) >= 0.5 * abs(direction[i]):
-                first, second = sorted((int(i), int(j)))
-                sign = 1.0 if direction[first] * direction[second] > 0 else -1.0
-                found.append(Pair(self.names[first], self.names[second], sign * share))
+        is_known = self.noise < DETERMINED * self.singular_values
+        # What is left of each parameter in the open directions, and how alike that is.
+        shares = self.directions[~is_known].T @ self.directions[~is_known]
+        sizes = np.sqrt(np.diag(shares)) + np.finfo(float).tiny
+        is_alike = np.abs(shares) >= ALIKE * np.outer(sizes, sizes)
+        left, found = set(np.flatnonzero(self._is_open).tolist()), list[Ridge]()
+        while left:
+            group, news = set[int](), {min(left)}
+            while news:
+                group |= news
+                news = {j for i in news for j in left - group if is_alike[i, j]}
+            left -= group
+            members = sorted(group)
+            n_free = max(round(float(np.diag(shares)[members].sum())), 1)
+            if n_free < len(members):
+                found.append(Ridge(tuple(self.names[i] for i in members), n_free))
         return tuple(found)
+
+    @property
+    def _is_open(self) -> BoolArray:
+        """Which parameters the data leave open. Shape (p,)."""
+        # Without a prior `before` is the root of 1/12, so this is a tenth of the range.
+        return np.asarray(self.spread >= DETERMINED * np.sqrt(BOX_PRECISION) * self.before)
 
     @property
     def null_directions(self) -> tuple[str, ...]:
@@ -113,22 +157,6 @@ class Identifiability:
                 terms = " ".join(f"{direction[i]:+.2f} {self.names[i]}" for i in most)
                 found.append(terms.replace("-", "\N{MINUS SIGN}"))
         return tuple(found)
-
-
-def difference_rows(u: FloatArray, step: float) -> FloatArray:
-    """Return a point, then one row per parameter moved up, then one per parameter moved down.
-
-    Args:
-        u: The point in the unit cube. Shape (p,). [1]
-        step: How far; a bound cuts it. [1]
-
-    Returns:
-        Shape (2 p + 1, p). [1]
-    """
-    # At a bound the difference is one-sided, as nothing says that the model answers beyond it.
-    ahead, behind = np.minimum(u + step, 1.0), np.maximum(u - step, 0.0)
-    is_moved = np.eye(len(u), dtype=np.bool_)
-    return np.concatenate([u[None], np.where(is_moved, ahead, u), np.where(is_moved, behind, u)])
 
 
 def judged(
@@ -150,7 +178,7 @@ def judged(
     """
     p = answer.u.shape[1]
     # The error of differences grows with their step, and singular values below it are that error.
-    slopes, null = _slopes(answer).T, max(NULL, NULL_PER_STEP * step)
+    slopes, null = difference_slopes(answer.u, answer.residuals).T, max(NULL, NULL_PER_STEP * step)
     found = judged_slopes(names, slopes, raised, null=null, prior=prior)
     is_unknown = np.array([all(answer.failures[row] for row in (j + 1, j + 1 + p)) for j in range(p)])
     return replace(found, is_unknown=is_unknown)
@@ -192,30 +220,8 @@ def judged_slopes(
         singular_values=values,
         directions=directions,
         noise=raised,
-        spread=np.sqrt(np.diag(covariance)),
+        covariance=np.asarray(covariance, dtype=np.float64),
         before=1.0 / np.sqrt(known),
         is_unknown=np.zeros(p, dtype=np.bool_),
         null=null,
     )
-
-
-def _slopes(answer: Evaluation) -> FloatArray:
-    """Return a row of the residuals' slopes per parameter, 0 where both sides fail. Shape (p, m).
-
-    Where one side fails, the point itself takes its place.
-
-    Args:
-        answer: The model at `difference_rows`.
-    """
-    u, p = answer.u[0], answer.u.shape[1]
-    ends = []
-    for side in (slice(1, p + 1), slice(p + 1, None)):
-        residuals = answer.residuals[side]
-        # One failed side leaves a one-sided difference, which is less exact but says more than none.
-        is_good: BoolArray = np.all(np.isfinite(residuals), axis=1)
-        there = np.where(is_good, np.diag(answer.u[side]), u)
-        ends.append((there, np.where(is_good[:, None], residuals, answer.residuals[0])))
-    (ahead, above), (behind, below) = ends
-    # Where both sides failed the slope becomes 0 / 1, not 0 / 0.
-    width = np.where(ahead > behind, ahead - behind, 1.0)
-    return (above - below) / width[:, None]

@@ -21,7 +21,6 @@ from typing import Literal
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.measurement import Measurement
 from studies.calibration.prior import independent_samples as declared_independent_samples
 from studies.calibration.prior import worth_of
@@ -29,6 +28,9 @@ from studies.calibration.prior import worth_of
 NoiseKind = Literal["correlated", "white", "sensor"]
 
 # With as many parameters as independent samples the correction would divide by 0.
+VANISHING = 0.1
+"""Residuals whose root mean square is below this share of the sensor's uncertainty show no noise. By hand."""
+
 MOST_TAKEN = 0.5
 """Share of the noise's variance that fitted parameters are thought to take away at most."""
 
@@ -72,29 +74,23 @@ class Noise:
 def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_parameters: int) -> Noise:
     """Return the noise of a measurement, judged by the best simulation.
 
+    Where its residuals vanish beside the sensor's uncertainty, as those of data without noise do, the noise
+    is the sensor's, whatever the kind.
+
     Args:
         kind: Which model of the noise.
         measurement: What was measured.
         y: The best simulation. Shape (t, k). [per output]
         n_parameters: Parameters that were fitted to it.
-
-    Raises:
-        InputError: The residuals vanish.
     """
-    m = measurement.n_samples
-    if kind == "sensor":
-        deviation = float(measurement.uncertainty[0])
-        # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
-        return Noise(kind, deviation, m, declared_independent_samples(measurement))
+    m, sensor = measurement.n_samples, float(measurement.uncertainty[0])
     parts = [measurement.scatter(y, k) for k in measurement.measured]
     n_measured = sum(len(part) for part in parts)
     # Limits that are kept say nothing of noise, but all residuals are scaled by the number of all of them.
     squares = sum(float(part @ part) for part in parts) * (n_measured / m)
-    if squares <= 0.0:
-        raise InputError(
-            "the best simulation equals the measurement to the last digit, so its residuals show no noise; "
-            "use --noise sensor"
-        )
+    if kind == "sensor" or squares <= n_measured * (VANISHING * sensor) ** 2:
+        # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
+        return Noise("sensor", sensor, m, declared_independent_samples(measurement))
     if kind == "white":
         # m - p degrees of freedom make the estimate of the variance unbiased.
         return Noise(kind, float(np.sqrt(squares / max(n_measured - n_parameters, 1))), m, float(n_measured))

@@ -117,12 +117,15 @@ def box(**bounds: tuple[float, float]) -> ParameterSpace:
     return ParameterSpace(tuple(Parameter(name, *ends, scale="log") for name, ends in bounds.items()))
 
 
-def measured(model: Moving, theta: FloatArray, noise: float) -> CalibrationProblem:
-    """Pose the problem of finding these parameters from the first output with noise."""
+def measured(
+    model: Moving, theta: FloatArray, noise: float, *, sensor: float | None = None, seed: int = 0
+) -> CalibrationProblem:
+    """Pose the problem of finding these parameters from the first output with noise, the sensor's if none."""
     watched = WatchedModel(model, model.signals)
     y = watched.simulate(theta[None]).y[0]
-    y = y + noise * np.random.default_rng(0).standard_normal(y.shape)
-    return CalibrationProblem(watched, Measurement.on_grid(model.time, y, ("y0",), np.array([noise])))
+    y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
+    uncertainty = np.array([noise if sensor is None else sensor])
+    return CalibrationProblem(watched, Measurement.on_grid(model.time, y, ("y0",), uncertainty))
 
 
 def learnt(model: Moving, n: int) -> StateEquations:

@@ -118,7 +118,14 @@ def test_what_fits_exactly_is_an_end() -> None:
     assert found.mse < 1e-4
     assert found.converged
     assert found.n_calls < 40
-    assert found.stop_reason == "the best simulation leaves 1e-08 of the measured variance or less"
+    assert re.fullmatch(
+        r"the best simulation fits within [\d.e-]+ of the sensor's uncertainty \(RMS\)", found.stop_reason
+    )
+    # A sensor that would see what is left says that this is no answer.
+    fine = problem_on(ToyRC(), TRUE_RC, uncertainty=np.array([1e-9]))
+    beyond = SHORT.minimize(fine, seed=0)
+    assert not beyond.converged
+    assert beyond.n_calls == found.n_calls
     wanted = Adaptive(max_calls=found.n_calls + 2, target_mse=0.0).minimize(rc_problem(), seed=0)
     assert wanted.n_calls == found.n_calls + 2
 

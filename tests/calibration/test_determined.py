@@ -1,16 +1,21 @@
 """What a search knows at its end of what the data determine, against differences of the model."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from moving_for_tests import Moving, box, measured, with_equations
 from problems_for_tests import TRUE_RC, problem_on, product_problem, rc_problem
 from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
+from simulation.parameters import Parameter, ParameterSpace
 from studies.calibration.adaptive import Adaptive
+from studies.calibration.differences import difference_rows
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.stages.calibrated_point import determined
-from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.identifiability import Ridge, judged, judged_slopes
 from studies.uncertainty.noise import noise_of
 
 # Of standard deviations by slopes of a surrogate, whose rows lie up to a tenth of the range away.
@@ -44,11 +49,88 @@ def test_a_search_knows_what_differences_would_show(search, is_product: bool) ->
     assert len(found.sentences) == 2 * is_product
 
 
+def weather() -> FloatArray:
+    time = 600.0 * np.arange(144)
+    return np.column_stack([278.0 + 6.0 * np.sin(time / 9000.0), 288.0 + 3.0 * np.cos(time / 5000.0)])
+
+
+# R1, R2 and C act through R1 C and R2 C; R and C through R C, beside a start that is determined.
+RESISTANCES = box(R1=(0.5, 20.0), R2=(0.5, 20.0), C=(200.0, 20_000.0))
+TWO_PRODUCTS = Moving(
+    RESISTANCES,
+    ("K", "K", "K"),
+    600.0,
+    weather(),
+    lambda r1, r2, c, x, outside, ground: [(outside - x) / (r1 * c) + (ground - x) / (r2 * c)],
+    lambda r1, r2, c: [294.0 + 0.0 * c],
+)
+ONE_PRODUCT = Moving(
+    ParameterSpace((*RESISTANCES.parameters[1:], Parameter("TStart", 285.0, 300.0))),
+    ("K", "K"),
+    600.0,
+    weather()[:, :1],
+    lambda r, c, start, x, outside: [(outside - x) / (r * c)],
+    lambda r, c, start: [start],
+)
+RIDGES = {
+    "2R1C": (TWO_PRODUCTS, [3.0, 6.0, 2000.0], Ridge(("R1", "R2", "C"), 1), "two of these three; fix one"),
+    "RC": (ONE_PRODUCT, [6.0, 2000.0, 294.0], Ridge(("R2", "C"), 1), "one of these two; fix one"),
+}
+
+
+@pytest.mark.parametrize("name", RIDGES)
+@pytest.mark.parametrize(
+    ("has_equations", "seed"), [*((True, seed) for seed in range(10)), *((False, seed) for seed in range(3))]
+)
+def test_data_without_noise_do_not_determine_what_acts_through_products(
+    name: str, has_equations: bool, seed: int
+) -> None:
+    model, truth, ridge, words = RIDGES[name]
+    problem = measured(model, np.array(truth), 0.0, sensor=0.1)
+    if has_equations:
+        found, _ = with_equations(problem, seed=seed, max_calls=60)
+    else:
+        found = Adaptive(max_calls=60).minimize(problem, seed=seed)
+    assert found.converged
+    assert "of the sensor's uncertainty" in found.stop_reason
+    said = determined(problem.space.names, problem.measurement, None, y=found.y, slopes=found.slopes)
+    assert said is not None
+    assert said.ridges == (ridge,)
+    assert said.open == ridge.names
+    named = {(one.first, one.second): one.strength > 0.0 for one in said.pairs}
+    assert named == {pair: pair == ("R1", "R2") for pair in combinations(ridge.names, 2)}, (
+        "resistances rise together as the capacity falls"
+    )
+    assert words in said.sentences[-1]
+    # `uncertainty` takes the sensor's noise likewise.
+    assert noise_of("correlated", problem.measurement, found.y, len(truth)).kind == "sensor"
+
+
+def test_a_budget_that_holds_no_differences_leaves_open_what_is_determined() -> None:
+    problem = measured(TWO_PRODUCTS, np.array([3.0, 6.0, 2000.0]), 0.0, sensor=0.1)
+    whole = Adaptive(max_calls=60).minimize(problem, seed=0)
+    short = Adaptive(max_calls=whole.n_calls - 1).minimize(problem, seed=0)
+    assert short.n_calls == whole.n_calls - 6
+    assert short.converged
+    assert short.slopes is None
+
+
+def test_four_of_five_parameters_are_determined_where_one_direction_is_open() -> None:
+    slopes = np.zeros((5, 6))
+    for row in range(4):
+        slopes[row, row : row + 2] = 1.0
+    slopes[4, 5] = 1.0
+    names = ("a", "b", "c", "d", "e", "other")
+    (ridge,) = judged_slopes(names, 1e3 * slopes, 1.0).ridges
+    assert ridge == Ridge(("a", "b", "c", "d", "e"), 1)
+    # With one residual less there are two; what moves nothing is in none.
+    found = judged_slopes(names, 1e3 * slopes[[0, 2, 3]], 1.0)
+    assert found.ridges == (Ridge(("a", "b"), 1), Ridge(("c", "d", "e"), 1))
+    assert found.determined == ()
+
+
 def test_of_a_first_design_alone_nothing_is_said() -> None:
     problem = product_problem()
     found = Adaptive(max_calls=4).minimize(problem, seed=0)
     assert found.slopes is None
-    # Nor of what fits to the last digit: it shows no noise.
-    exact = {"y": problem.model.simulate(TRUE_RC[None]).y[0], "slopes": np.eye(2)}
-    assert determined(("R", "C"), problem.measurement, None, **exact) is None
     assert determined(("R", "C"), problem.measurement, None, y=found.y, slopes=None) is None

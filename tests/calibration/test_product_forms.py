@@ -7,6 +7,7 @@ import pytest
 
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
+from studies.calibration.coefficient import Coefficient, Points
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.product_forms import MOST_PAIRED, MOST_PRODUCTS, Products, product_sum
 
@@ -45,6 +46,30 @@ LONG: dict[str, Callable[[FloatArray], FloatArray]] = {
     ),
     "in series": lambda t: 1.0 / (2.0 * column(t, "R") + 0.2 * column(t, "S") + 0.9 * column(t, "U")),
 }
+
+
+@pytest.mark.parametrize("decades", [8, 60, 300])
+def test_products_that_overflow_are_no_candidates_and_those_that_do_not_are_still_found(decades: int) -> None:
+    space = ParameterSpace(
+        tuple(
+            Parameter(name, 10.0 ** (-decades / 2), 10.0 ** (decades / 2), scale="log")
+            for name in ("R", "S", "C", "U")
+        )
+    )
+    products = Products.of(space)
+    for seed in range(5):
+        u = latin_hypercube(8, 4, np.random.default_rng(seed))
+        theta = space.from_unit(u)
+        r, s, c, _ = theta.T
+        with np.errstate(all="ignore"):
+            wild = (np.exp(r), r * s * c, 1.0 / (r + s))
+        for values in wild:
+            known = np.where(np.isfinite(values), values, 1e300)
+            product_sum(products, theta, known)
+            Coefficient.fit(Points.of(space, u), values, products)
+        found = product_sum(products, theta, 2.0 / r)
+        assert found is not None
+        np.testing.assert_allclose(found.at(theta), 2.0 / r, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "n"), [*((name, 4) for name in FORMULAS), *((name, 6) for name in LONG)])

@@ -1,5 +1,7 @@
 """State equations with functions (flows, drag, angles), and equations that no row of a design has shown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from moving_for_tests import Moving, box, measured, with_equations
@@ -8,7 +10,7 @@ from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.state_flow import SteppedFlow
-from studies.calibration.state_terms import Sum, Term
+from studies.calibration.state_terms import FUNCTIONS, Sum, Term
 from studies.calibration.states import WatchedModel
 
 N_STEPS = 200
@@ -85,6 +87,29 @@ def test_functions_are_found_and_a_calibration_takes_five_calls(name: str) -> No
     theta = model.parameter_space.from_unit(np.random.default_rng(1).random((4, truth.shape[1])))
     expected = model.simulate(theta).y[..., :1]
     np.testing.assert_allclose(ode.model.simulate(theta).y, expected, rtol=0.0, atol=5e-3 * expected.std())
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_compiled_steps_take_the_functions_that_terms_have(name: str) -> None:
+    values = np.array([-2.3, -0.4, 0.0, 0.7, 3.1])
+    for value in values:
+        signals = replace(TANKS.signals, driven=np.tile([value, 1.0], (N_STEPS, 1)))
+        flow = SteppedFlow(signals, (Sum(0, (Term(2, function=name),)), Sum(1, (Term(-1),))))
+        assert not flow.unsolved
+        x = flow.states(np.zeros((2, 1)), [np.ones((1, 1)), np.zeros((1, 1))])
+        # The slope is the function of a constant.
+        expected = FUNCTIONS[name](np.array(value)) * TANKS.step_s * N_STEPS
+        np.testing.assert_allclose(x[0, -1, 0], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_function_that_no_step_takes_is_not_solved_as_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(FUNCTIONS, "saturation", np.tanh)
+    model = replace(CAR, slope=lambda m, cw, slope, v, force: [(force - 100.0 * cw * np.tanh(v)) / m])
+    problem = measured(model, model.parameter_space.from_unit(np.full((1, 3), 0.6))[0], 0.01)
+    found, ode = with_equations(problem, max_calls=12)
+    assert not ode.is_learnt
+    assert ode.why_not == 'the function "saturation" has no compiled steps'
+    assert np.isfinite(found.mse)
 
 
 def test_a_point_is_solved_alike_whatever_it_is_solved_beside() -> None:

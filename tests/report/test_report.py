@@ -210,6 +210,10 @@ def test_parameters_table_flags_the_bounds() -> None:
     assert column(table, "estimate")[0] == "0.7"
     assert column(table, "polished") == [f"{value:.6g}" for value in c.theta.values()]
     assert [column(table, f"{end} bound")[1] for end in ("lower", "upper")] == ["293.15", "306.15"]
+    # Where others compensate it as well: that the value went to its bound is no reason to widen that.
+    open_one = Determined(spread=dict.fromkeys(box.names, 0.2), open=("cInt",), pairs=())
+    compensated = column(parameters_table(whole, replace(c, determined_by_data=open_one)), "")
+    assert compensated[box.names.index("cInt")] == "at the upper bound; not determined: ±20 % of the range"
     # The share counts in the logarithm where there is one.
     for share, said in ((0.009, lower), (0.011, ""), (0.989, ""), (0.991, upper)):
         linear = box.lower + share * (box.upper - box.lower)

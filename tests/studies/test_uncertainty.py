@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from simulation.counting import CountingModel
-from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
+from studies.calibration.differences import difference_rows
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, share_within
 from studies.uncertainty.findings import compensations, knowledge
-from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.identifiability import judged
 from studies.uncertainty.noise import noise_of
 from studies.uncertainty.sample import Sampling
 
@@ -196,9 +196,10 @@ def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
 def test_a_perfect_fit_shows_no_noise():
     problem = posed(line(), [0.3, -0.4], sigma=0.0)
     y = problem.model.simulate(np.array([[0.3, -0.4]])).y[0]
-    with pytest.raises(InputError, match="to the last digit"):
-        noise_of("white", problem.measurement, y, 2)
-    assert noise_of("sensor", problem.measurement, y, 2).deviation == SIGMA
+    # So it is the sensor's, whatever is asked for.
+    for kind in ("correlated", "white", "sensor"):
+        noise = noise_of(kind, problem.measurement, y, 2)
+        assert (noise.kind, noise.deviation) == ("sensor", SIGMA)
 
 
 @pytest.mark.parametrize("rate", [0.0, 30.0])
