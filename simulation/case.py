@@ -32,6 +32,7 @@ from simulation.fmi.own_time import own_unit_s
 from simulation.fmi.variable import Value
 from simulation.layout import MARK, Experiment, Layout, joined_measurement
 from simulation.measurement import MeasuredOutput, Measurement
+from simulation.named_files import NamedFiles, named_files
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
@@ -123,6 +124,11 @@ class Case:
         return self.settings.fixed
 
     @cached_property
+    def named_files(self) -> NamedFiles:
+        """The files that texts of the FMU name, which decide what it answers, as they are now."""
+        return named_files(self.fmu, self.fixed)
+
+    @cached_property
     def model_digest(self) -> str:
         """SHA-256 of all that decides what the model answers to a row: not of bounds, measurement or titles.
 
@@ -160,6 +166,7 @@ class Case:
         chosen = {name: getattr(self.settings, name) for name in _CHOSEN}
         chosen |= {"ties": [(one.name, one.expression) for one in self.settings.ties] or None}
         chosen |= {"time_unit_s": self.settings.time_unit_s if self.settings.time_unit_s != 1.0 else None}
+        chosen |= {"files": sorted(self.named_files.digests.items()) or None}
         chosen |= {"watched": list(self.watched) or None, "said_units": dict(self.said_units) or None}
         return {
             "fmu": self.fmu.sha256,

@@ -48,6 +48,7 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
         if not isinstance(value, str | bool) and _is_beyond(one, value, value):
             beyond.append(f"{name} = {value:g} ({_ends(one)})")
     yield from named("beyond", beyond)
+    yield from named("files", [f"{name} {why}" for name, why in case.named_files.unknown.items()], "; ")
 
 
 def undeclared(case: Case) -> list[str]:

@@ -82,6 +82,8 @@ class Study:
             names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs if one.file]
             data = folder / declared.data
             files |= dict.fromkeys([folder / declared.fmu, *(data / name for name in names)])
+        for one in case.experiments or (case,):
+            files |= dict.fromkeys(one.named_files.files)
         made = Provenance(
             schema=SCHEMA,
             kind=kind,
