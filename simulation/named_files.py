@@ -1,4 +1,4 @@
-"""Files that an FMU is told to read by its texts: what they hold decides what it answers."""
+"""Files that an FMU reads because a text of it names them: what they hold decides what it answers."""
 
 import hashlib
 import os

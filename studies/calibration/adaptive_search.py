@@ -489,7 +489,7 @@ class AdaptiveSearch:
         self._vain = [*self._vain, error / rest] if gain < error < np.inf and rest > 0.0 else []
         if len(self._vain) >= SEARCH.vain_proposals and self._ode is not None:
             self._ode.is_given_up = True
-            # What is left to gain is less than what the equations err by, unless these err elsewhere.
+            # What is left to gain is less than what the equations err by, unless these err at other points.
             self._phase = SearchPhase()
 
     @property

@@ -1,8 +1,9 @@
 """Rows per second of co-simulation, in this process and in others, and what checking shared processes costs.
 
-Run `python tests/benchmarks/cosimulation_speed.py [CASE] [--rows N]`; it prints one JSON document. Figures are
-the best of some rounds in turns: other work on the machine only ever makes them lower. `repeated` counts the
-simulations that are made once more to see whether rows of a shared process depend on each other.
+Run `python tests/benchmarks/cosimulation_speed.py [CASE] [--rows N]`, which prints one JSON document. Its
+figures are the best of some rounds in turns: other work on the machine only ever makes them lower.
+`repeated` counts the simulations that are made once more to see whether rows of a shared process depend on
+each other.
 """
 
 import argparse
