@@ -90,6 +90,7 @@ class LearnedODE:
         self._answered = np.empty((0, problem.measurement.n_samples))
         self._structure: Structure | None = None
         self._n_examined = 0
+        self._lacked = ""
         self._is_refuted = False
         self._equations: StateEquations | None = None
         self._is_given = False
@@ -311,6 +312,7 @@ class LearnedODE:
             self._n_examined = len(self._u)
             signals, structure = self._found_structure()
             self.misfit = structure.misfit
+            self._lacked = structure.lacking
             if structure.lacking:
                 return structure.why_not(signals)
             self._signals, self._structure = structure.of_used(signals)
@@ -333,11 +335,11 @@ class LearnedODE:
     def _found_structure(self) -> tuple[StateSignals, Structure]:
         """Find the terms, with positions of switches where there are none without."""
         signals = self._locals.as_inputs()
-        structure = Structure.of(signals, self._all_rows(signals))
+        structure = Structure.of(signals, self._all_rows(signals), self._lacked)
         switches = tuple(self._positions.known())
         while structure.lacking and switches:
             switching = with_switches(signals, switches)
-            found = Structure.of(switching, self._all_rows(switching))
+            found = Structure.of(switching, self._all_rows(switching), structure.lacking)
             if found.lacking:
                 break
             # What no term has needs no rule.

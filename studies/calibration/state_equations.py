@@ -67,26 +67,31 @@ class Structure:
     most_left: float = LEARNT
 
     @classmethod
-    def of(cls, signals: StateSignals, rows: StateRows) -> Self:
+    def of(cls, signals: StateSignals, rows: StateRows, lacked: str = "") -> Self:
         """Find the terms.
 
         Args:
             signals: What is known of the states.
             rows: What they and the outputs did.
+            lacked: The variable for which none was found in fewer rows, "" for none: it is looked at first.
         """
-        sums, worst = list[Sum](), 0.0
+        sums, worst = dict[int, Sum](), 0.0
         # A part of the rows, at a part of the times, is enough to find the terms.
         some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
         x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
         names = (*signals.derivatives, *signals.outputs)
-        for own, name, target in zip(owns, names, _targets(rows), strict=True):
-            found, misfit = _sum(signals, own, x, inputs, target[np.ix_(some, times)])
+        targets = _targets(rows)
+        # Most models that follow no such equations lack the same variable again: nothing else is tried.
+        for place in sorted(range(len(owns)), key=lambda place: names[place] != lacked):
+            target = targets[place][np.ix_(some, times)]
+            found, misfit = _sum(signals, owns[place], x, inputs, target)
             if not found.terms:
-                return cls((), misfit, name)
-            sums.append(found)
+                return cls((), misfit, names[place])
+            sums[place] = found
             worst = max(worst, misfit)
-        return cls(tuple(sums), worst, most_left=max(most_left(signals, own, x) for own in owns))
+        most = max(most_left(signals, own, x) for own in owns)
+        return cls(tuple(sums[place] for place in range(len(owns))), worst, most_left=most)
 
     def why_not(self, signals: StateSignals) -> str:
         """Say for which variable no sum was found, and what was offered."""
