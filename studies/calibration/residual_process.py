@@ -82,7 +82,8 @@ class Components:
         values: The differences. Shape (n, r). [unit]
         level: Best row's residuals in the basis. Shape (r,). [unit]
         outside: Sum of squares of the best row's residuals outside the basis. [unit squared]
-        best: Best row's residuals. Shape (m,). [unit]
+        best: Best row's residuals, or their coordinates. Shape (m,). [unit]
+        n_residuals: Residuals in a row.
         looseness: Factors of the rows' noise variances, which grow with their errors: of a row far from the
             measurement a process need only know that it is far; near it, small differences decide.
             Shape (n,). [1]
@@ -92,11 +93,18 @@ class Components:
     level: FloatArray
     outside: float
     best: FloatArray
+    n_residuals: int
     looseness: FloatArray
 
     @classmethod
-    def of(cls, residuals: FloatArray, power: int = 1) -> Self:
-        """Return all components of residuals (n, m); noise variances are errors to a power."""
+    def of(cls, residuals: FloatArray, power: int = 1, n_residuals: int | None = None) -> Self:
+        """Return all components of rows.
+
+        Args:
+            residuals: The rows' residuals, or their coordinates in an orthonormal basis. Shape (n, m).
+            power: Noise variances are errors to this power.
+            n_residuals: Residuals in a row where coordinates are given, None for m.
+        """
         squares = (residuals**2).sum(axis=1)
         best = residuals[int(np.argmin(squares))]
         # n rows differ in n directions at most: from here on,
@@ -107,9 +115,10 @@ class Components:
         loose = (
             np.maximum((squares / size) ** power, LEAST_LOOSENESS) if size > 0.0 else np.ones(len(residuals))
         )
+        m = best.size if n_residuals is None else n_residuals
         # Pythagoras: what the basis does not hold is the
         # difference of squares, which rounding may make negative.
-        return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, loose)
+        return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, m, loose)
 
     def split(self, part: float) -> list[Self]:
         """Return the fewest components that hold a part of the differences' squares, and the others.
@@ -131,11 +140,6 @@ class Components:
                 (directions[:, n_leading:], 0.0),
             )
         ]
-
-    @property
-    def gram(self) -> FloatArray:
-        """Products of the rows' differences. Shape (n, n). [unit squared]."""
-        return self.values @ self.values.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +188,7 @@ class ResidualProcess:
         """
         components, x = Components.of(residuals), features.at(u)
         belief = Belief.of(x.shape[1])
-        hyper = most_probable(x, components.gram, components.looseness, belief, first_guess)
+        hyper = most_probable(x, components.values, components.looseness, belief, first_guess)
         return cls.through(features, x, components, hyper)
 
     @classmethod
@@ -192,7 +196,7 @@ class ResidualProcess:
         """Return the process with known hyperparameters (f + 2,) through components of rows at x (n, f)."""
         factor = inverse_factor(kernel_matrix(x, hyper, components.looseness)[0])
         coefficients = factor.T @ (factor @ components.values)
-        m = components.best.size
+        m = components.n_residuals
         # The most probable amplitude in closed form: the trace of
         # the inverse kernel matrix times the Gram matrix, per value.
         variance = float((components.values * coefficients).sum()) / (len(x) * m)

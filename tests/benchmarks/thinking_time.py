@@ -2,7 +2,7 @@
 
     python tests/benchmarks/thinking_time.py [--cases TEXT ...] [--calls 300] [--seeds 0] [--json FILE]
 
-Every case is calibrated to the end of its calls, whatever is expected. The clock stops while the model answers.
+Every case is calibrated to the end of its calls, whatever is expected. The clock stops while a model answers.
 Prints seconds per call by ranges of calls, the longest pause between two calls, and whether all of a run is
 within 0.2 s per call plus 2 s. Models are closed forms but for the office, an FMU whose states are not read:
 its rows are those of `studies calibrate office --no-state-equations`. Gates nothing.
@@ -11,8 +11,7 @@ its rows are those of `studies calibrate office --no-state-equations`. Gates not
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
@@ -157,7 +156,7 @@ class WeatherInside(WrappedModel):
 
 
 def rooms(*, is_learnt: bool) -> WeatherInside:
-    """Return ten rooms; the last one's heat flow to outside is no sum of known terms unless they are learnt."""
+    """Return ten rooms; unless they are learnt, one heat flow of the last one is no sum of known terms."""
     rng, n_outputs, every = np.random.default_rng(1), 289, 3
     days = np.arange(n_outputs) / 48.0
     # Outdoor temperature, sun, and gains by schedules; more of all kinds that drive nothing.
