@@ -84,6 +84,8 @@ class AdaptiveSearch:
         self._features = Features.of(problem.space)
         self._parts = Part.parts_of(problem)
         self._recorder = recorder
+        if learned_ode is not None:
+            learned_ode.tell(recorder.think_of)
         self._rng = rng
         self._u = self._unasked = np.empty((0, p))
         self._objective = np.empty(0)
@@ -148,6 +150,7 @@ class AdaptiveSearch:
         if not n_good:
             return self._ask_by_equations
         if self._network is not None:
+            self._recorder.think_of("a network with hidden states")
             proposed = self._network.propose(self._settings.n_parallel)
             if proposed is not None:
                 return partial(self._ask, proposed)
@@ -215,6 +218,7 @@ class AdaptiveSearch:
         best = int(np.argmin(self._objective))
         here, before = self._u[best], float(self._objective[best])
         rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
+        self._recorder.think_of("functions that may be lower elsewhere")
         process, n_before = self._fit(), self._objective.size
         self._weigh_failures(before)
         places, gains = least_unlikely(
@@ -370,6 +374,7 @@ class AdaptiveSearch:
         """Make one round of a search phase."""
         process, phase = self._fit(), self._phase
         if phase.first == self._objective.size:
+            self._recorder.think_of("another valley")
             self._weigh_failures(float(self._objective.min()))
             self._ask(self._restart_points(process))
             phase.lowest.append(self._phase_best)

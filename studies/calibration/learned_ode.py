@@ -19,6 +19,7 @@ from studies.calibration.box_newton import Expansion
 from studies.calibration.coefficient import LEAST_TO_LEARN, Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationExperiments, EquationModel
+from studies.calibration.growing_rows import GrowingRows
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
@@ -27,6 +28,7 @@ from studies.calibration.state_equations import StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
+from studies.calibration.term_choice import Fit
 
 # Random points that are looked at, and how many of the best of them, beside the best rows and the last ends,
 # are walked downhill: nothing else looks for valleys.
@@ -87,8 +89,9 @@ class LearnedODE:
         self._products = Products.of(problem.space)
         self._u = np.empty((0, problem.space.n_parameters))
         self._rows: list[StateRows] = []
-        self._answered = np.empty((0, problem.measurement.n_samples))
+        self._answers = GrowingRows(problem.measurement.n_samples)
         self._structure: Structure | None = None
+        self._fits = list[tuple[Fit, ...]]()
         self._n_examined = 0
         self._lacked = ""
         self._is_refuted = False
@@ -101,6 +104,7 @@ class LearnedODE:
         self._mismatch = 0.0
         self.misfit = np.inf
         self.n_asked = self.n_alone = 0
+        self._think_of: Callable[[str], None] = lambda what: None
         self.why_not = f"fewer than {LEAST_TO_LEARN} simulations show what states did"
 
     @classmethod
@@ -216,6 +220,11 @@ class LearnedODE:
         return np.asarray(jacobians(self._residuals, u[None], self._residuals(u[None]))[0])
 
     @property
+    def _answered(self) -> FloatArray:
+        """Residuals of the rows that it has learnt from. Shape (n, m). [first output's unit]."""
+        return self._answers.rows
+
+    @property
     def n_states(self) -> int:
         """States whose equations it learns, without positions of switches."""
         return self._signals.n_continuous
@@ -262,6 +271,10 @@ class LearnedODE:
         """Return which points (n, p) it has learnt from. Shape (n,)."""
         return np.asarray((self._u == u[:, None]).all(axis=2).any(axis=1))
 
+    def tell(self, think_of: Callable[[str], None]) -> None:
+        """Call this from now on with what is looked at, as that may take seconds."""
+        self._think_of = think_of
+
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
 
@@ -287,7 +300,7 @@ class LearnedODE:
         shown = None if rows.locals is None else rows.locals[whole]
         self._locals.note(shown)
         self._positions.note(shown)
-        self._answered = np.concatenate([self._answered, answer.residuals[whole]])
+        self._answers.add(answer.residuals[whole])
         if self._is_given:
             self._mismatch = self._mismatch_of(self._u, self._answered)
             # Written so that NaN counts as a mismatch, too.
@@ -316,9 +329,12 @@ class LearnedODE:
             if structure.lacking:
                 return structure.why_not(signals)
             self._signals, self._structure = structure.of_used(signals)
-            self._course = None
+            self._course, self._fits = None, []
         rows = self._all_rows(self._signals)
-        found, self.misfit = self._structure.fitted(self._signals, rows)
+        # A row's fit does not change with others.
+        new = StateRows(*(part[len(self._fits) :] for part in rows[:3]))
+        self._fits += self._structure.fits(self._signals, new)
+        found, self.misfit = self._structure.coefficients(self._fits)
         # Written so that NaN counts as a misfit, too.
         if not self.misfit <= self._structure.most_left:
             self._structure = None
@@ -335,11 +351,15 @@ class LearnedODE:
     def _found_structure(self) -> tuple[StateSignals, Structure]:
         """Find the terms, with positions of switches where there are none without."""
         signals = self._locals.as_inputs()
-        structure = Structure.of(signals, self._all_rows(signals), self._lacked)
+
+        def think_of(name: str) -> None:
+            self._think_of(f"terms of {name}")
+
+        structure = Structure.of(signals, self._all_rows(signals), self._lacked, think_of)
         switches = tuple(self._positions.known())
         while structure.lacking and switches:
             switching = with_switches(signals, switches)
-            found = Structure.of(switching, self._all_rows(switching), structure.lacking)
+            found = Structure.of(switching, self._all_rows(switching), structure.lacking, think_of)
             if found.lacking:
                 break
             # What no term has needs no rule.
@@ -361,6 +381,7 @@ class LearnedODE:
 
     def _with_course(self, equations: StateEquations, points: Points, x: FloatArray) -> StateEquations:
         """Find what hidden inputs do between the outputs; return equations that follow it."""
+        self._think_of("what inputs inside the FMU do between the outputs")
         signals = self._signals
         n_declared = signals.n_declared
         some = spread(len(x), LEAST_TO_LEARN)
@@ -400,6 +421,7 @@ class LearnedODE:
             known: Their points. Shape (n, p). [1]
             rng: Source of the looks.
         """
+        self._think_of("optimum by the state equations")
         p = known.shape[1]
         prior = self._problem.prior
         looks = self._looks(p, rng)

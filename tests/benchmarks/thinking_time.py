@@ -155,8 +155,8 @@ class WeatherInside(WrappedModel):
         )
 
 
-def rooms(*, is_learnt: bool) -> WeatherInside:
-    """Return ten rooms; unless they are learnt, one heat flow of the last one is no sum of known terms."""
+def rooms(kind: str) -> WeatherInside:
+    """Return ten rooms, "learnt", or with "terms" or "formulas" in the last one that are not known."""
     rng, n_outputs, every = np.random.default_rng(1), 289, 3
     days = np.arange(n_outputs) / 48.0
     # Outdoor temperature, sun, and gains by schedules; more of all kinds that drive nothing.
@@ -178,7 +178,9 @@ def rooms(*, is_learnt: bool) -> WeatherInside:
         table, (outside, sun, gain) = np.array(values[: 3 * N_ROOMS]), values[3 * N_ROOMS :]
         resistance, capacity, x = np.split(table, 3)
         flow = (outside - x) / resistance + 0.1 * sun + 200.0 * gain + between @ x
-        if not is_learnt:
+        if kind == "formulas":
+            capacity[-1] = np.hypot(capacity[-1], 1e8 * resistance[0])
+        if kind == "terms":
             flow[-1] += 300.0 * np.tanh(0.3 * (x[-1] - 283.0))
         return list(flow / capacity)
 
@@ -249,8 +251,9 @@ CASES: dict[str, Callable[[int, int], list[float]]] = {
     "35 parameters, 500 samples": lambda seed, n: by_processes(Delays(35, 500), seed, n),
     "8 parameters, 50,000 samples": lambda seed, n: by_processes(Delays(8, 50_000), seed, n),
     "35 parameters, 50,000 samples": lambda seed, n: by_processes(Delays(35, 50_000), seed, n),
-    "60 signals, learnt": lambda seed, n: by_equations(rooms(is_learnt=True), seed, n),
-    "60 signals, not learnt": lambda seed, n: by_equations(rooms(is_learnt=False), seed, n),
+    "60 signals, learnt": lambda seed, n: by_equations(rooms("learnt"), seed, n),
+    "60 signals, no terms": lambda seed, n: by_equations(rooms("terms"), seed, n),
+    "60 signals, no formulas": lambda seed, n: by_equations(rooms("formulas"), seed, n),
 }
 
 
