@@ -95,5 +95,5 @@ class Failures:
         weight = self.scale * SEARCH.failed_weight
         # A square begins with slope zero, so that Newton steps see no kink at the edge.
         curvature = 2.0 * weight * np.outer(slope, slope)
-        found = Expansion(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
+        found = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
         return found if self.prior is None else found + self.prior.expand(u)

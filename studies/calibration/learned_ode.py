@@ -443,7 +443,7 @@ class LearnedODE:
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
         self.predicted = float(objectives(prior, u[None], self._residuals(u[None]))[0])
         # With no curvature, points that are drawn beside this one spread alike in all directions.
-        return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
+        return u, Expansion.known(value, value, np.zeros(p), np.zeros((p, p)))
 
     def _looks(self, p: int, rng: np.random.Generator) -> FloatArray:
         """Return points of which the best are walked downhill. Shape (n, p). [1]."""
