@@ -16,7 +16,7 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from studies.calibration.box_newton import Expansion
-from studies.calibration.coefficient import LEAST_TO_LEARN, Points
+from studies.calibration.coefficient import LEAST_TO_LEARN, Coefficient, Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationExperiments, EquationModel
 from studies.calibration.growing_rows import GrowingRows
@@ -24,7 +24,7 @@ from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
 from studies.calibration.search_constants import SEARCH
-from studies.calibration.state_equations import StateEquations, Structure
+from studies.calibration.state_equations import NO_FORMULAS, StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
@@ -92,6 +92,7 @@ class LearnedODE:
         self._answers = GrowingRows(problem.measurement.n_samples)
         self._structure: Structure | None = None
         self._fits = list[tuple[Fit, ...]]()
+        self._doubted: int | None = None
         self._n_examined = 0
         self._lacked = ""
         self._is_refuted = False
@@ -329,7 +330,7 @@ class LearnedODE:
             if structure.lacking:
                 return structure.why_not(signals)
             self._signals, self._structure = structure.of_used(signals)
-            self._course, self._fits = None, []
+            self._course, self._fits, self._doubted = None, [], None
         rows = self._all_rows(self._signals)
         # A row's fit does not change with others.
         new = StateRows(*(part[len(self._fits) :] for part in rows[:3]))
@@ -340,13 +341,23 @@ class LearnedODE:
             self._structure = None
             return DIFFERENT
         points = Points.of(self._problem.space, self._u)
+        columns = [column for table in (*found, rows.x[:, 0]) for column in table.T]
+        # What was no formula with a row less is looked at first, as it mostly is none again.
+        if self._doubted is not None and self._is_open(points, columns[self._doubted]):
+            return NO_FORMULAS
         # One more row may show what a coefficient is, or a switch does: the structure stays.
         equations = StateEquations.learn(
             self._signals, self._structure, points, rows.x, found, self._products
         )
+        is_open = (place for place, column in enumerate(columns) if self._is_open(points, column))
+        self._doubted = next(is_open) if equations == NO_FORMULAS else None
         if self._signals.n_hidden and self._course is None and isinstance(equations, StateEquations):
             return self._with_course(equations, points, rows.x)
         return equations
+
+    def _is_open(self, points: Points, column: FloatArray) -> bool:
+        """Return whether a coefficient, of values (n,) at points, is no formula."""
+        return Coefficient.fit(points, column, self._products) is None
 
     def _found_structure(self) -> tuple[StateSignals, Structure]:
         """Find the terms, with positions of switches where there are none without."""

@@ -50,6 +50,9 @@ MOST_RULE_ROWS = 16
 MOST_VALUES = 4_000_000
 
 
+NO_FORMULAS = "not all coefficients are formulas of the parameters"
+
+
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Which terms the equations have; make it with `of`.
@@ -286,7 +289,7 @@ class StateEquations:
         by_term = list[tuple[Coefficient, ...]]()
         for table in (*found, x[:, 0]):
             if (known := formulas(points, table, products)) is None:
-                return "not all coefficients are formulas of the parameters"
+                return NO_FORMULAS
             by_term.append(known)
         start = by_term.pop()
         flow = _flow(signals, structure)
