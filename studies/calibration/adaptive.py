@@ -98,7 +98,7 @@ class Adaptive(SearchSettings):
             learned_ode: Learns the model's state equations from rows and proposes others, None for none.
             network_inputs: What drives the model, where it may be a network that hides its states; None
                 otherwise.
-            on_progress: Called after each round.
+            on_progress: Called after each round, and before what may take seconds.
 
         Returns:
             The best point seen; never raises for a failed simulation or a spent budget.

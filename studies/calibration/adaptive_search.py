@@ -20,11 +20,12 @@ from studies.calibration.ending import Confirmation, Ending, still_falling
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import first_points
+from studies.calibration.growing_rows import GrowingBasis, GrowingRows
 from studies.calibration.largest_samples import outlying_part
 from studies.calibration.learned_ode import LearnedODE, enough_for_equations
 from studies.calibration.network_search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.process_groups import Part, ProcessGroups
+from studies.calibration.process_groups import Part, ProcessGroups, is_refitted
 from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Features
@@ -85,10 +86,14 @@ class AdaptiveSearch:
         self._features = Features.of(problem.space)
         self._parts = Part.parts_of(problem)
         self._recorder = recorder
+        if learned_ode is not None:
+            learned_ode.tell(recorder.think_of)
         self._rng = rng
         self._u = self._unasked = np.empty((0, p))
         self._objective = np.empty(0)
-        self._residuals = np.empty((0, problem.measurement.n_samples))
+        self._answers = GrowingRows(problem.measurement.n_samples)
+        # By the place of the part: its residuals in the window, as coordinates.
+        self._bases = dict[int, GrowingBasis]()
         self._penalty = np.empty(0)
         self._window = TruncatedWindow(problem.measurement)
         self._sensor = float(problem.measurement.uncertainty[0])
@@ -101,6 +106,7 @@ class AdaptiveSearch:
         self._has_probed = False
         # Hyperparameters of the last fit, by the place of the part.
         self._hyper = dict[int, tuple[FloatArray, ...]]()
+        self._n_fitted = self._n_failures_fitted = 0
         self._penalty_expected: Penalty | None = self._prior
         self._failed_hyper: FloatArray | None = None
         self._radius = SEARCH.radius
@@ -159,6 +165,7 @@ class AdaptiveSearch:
         if not n_good:
             return self._ask_by_equations
         if self._network is not None:
+            self._recorder.think_of("a network with hidden states")
             proposed = self._network.propose(self._settings.n_parallel)
             if proposed is not None:
                 return partial(self._ask, proposed)
@@ -261,6 +268,7 @@ class AdaptiveSearch:
         best = int(np.argmin(self._objective))
         here, before, outlying = self._u[best], float(self._objective[best]), self._outlying(best)
         rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
+        self._recorder.think_of("functions that may be lower elsewhere")
         process, n_before = self._fit(), self._objective.size
         self._weigh_failures(before)
         places, gains = least_unlikely(
@@ -396,6 +404,7 @@ class AdaptiveSearch:
 
     def _begin_again(self) -> None:
         """Judge all rows by the present window and begin a search phase at the best."""
+        self._objective, self._bases, self._n_fitted = self._objective[:0], {}, 0
         self._judge()
         self._confirmation = self._no_confirmation
         self._phase, self._radius = SearchPhase(), SEARCH.radius
@@ -406,8 +415,12 @@ class AdaptiveSearch:
         return Confirmation(n_owed=SEARCH.restarts_owed_to_one if self._p == 1 else SEARCH.restarts_owed)
 
     def _judge(self) -> None:
-        error = np.mean(self._window.seen(self._residuals) ** 2, axis=1)
-        self._objective = np.where(np.isfinite(self._penalty), error + self._penalty, np.inf)
+        """Judge the rows that were not judged by the present window."""
+        n = len(self._objective)
+        error = np.mean(self._window.seen(self._residuals[n:]) ** 2, axis=1)
+        penalty = self._penalty[n:]
+        judged = np.where(np.isfinite(penalty), error + penalty, np.inf)
+        self._objective = np.concatenate([self._objective, judged])
 
     @property
     def _unexplained(self) -> float:
@@ -418,6 +431,7 @@ class AdaptiveSearch:
         """Make one round of a search phase."""
         process, phase = self._fit(), self._phase
         if phase.first == self._objective.size:
+            self._recorder.think_of("another valley")
             self._weigh_failures(float(self._objective.min()))
             self._ask(self._restart_points(process))
             phase.lowest.append(self._phase_best)
@@ -684,7 +698,7 @@ class AdaptiveSearch:
     def _keep(self, answer: Evaluation) -> None:
         """Take rows among those that the search learns from."""
         self._u = np.concatenate([self._u, answer.u])
-        self._residuals = np.concatenate([self._residuals, answer.residuals])
+        self._answers.add(answer.residuals)
         penalty = np.full(answer.n, np.inf)
         good = np.isfinite(answer.mse)
         # The prior's part, apart from the error: a window changes the error alone.
@@ -696,24 +710,38 @@ class AdaptiveSearch:
         if self._network is not None:
             self._network.note(answer)
 
+    @property
+    def _residuals(self) -> FloatArray:
+        """Residuals of all rows. Shape (n, m). [first output's unit]."""
+        return self._answers.rows
+
     def _fit(self) -> ProcessGroups:
         good, fitted = self._is_sane, list[ProcessGroups]()
-        residuals, output_of = self._window.seen(self._residuals[good]), self._window.seen_of
+        output_of = self._window.seen_of
+        # Beside many known rows the first new ones count as much as in a search without them.
+        n_new = int(good[self._n_known :].sum())
+        refits = is_refitted(n_new, self._n_fitted)
+        if refits:
+            self._n_fitted = n_new
         for place, part in enumerate(self._parts):
             is_its = np.isin(output_of, part.outputs)
             # A truncated window may have nothing of an experiment.
             if not is_its.any():
                 continue
+            basis = self._bases.setdefault(place, GrowingBasis(int(is_its.sum())))
+            basis.add(self._window.seen(self._residuals[basis.n_rows :])[:, is_its])
             process = ProcessGroups.fit(
                 part.features,
                 self._u[good],
-                residuals[:, is_its],
+                basis.coordinates[good],
                 self._hyper.get(place, ()),
                 # A search in a truncated window has to explain large components first.
                 balance=not self._was_truncated,
                 # Beside hundreds of rows from all over the box,
                 # errors near the best row would pass for noise.
                 n_noisy=int(good[: self._n_known].sum()) if self._n_known else None,
+                n_residuals=int(is_its.sum()),
+                refits=refits,
             )
             self._hyper[place] = process.hyper
             fitted.append(process)
@@ -724,8 +752,12 @@ class AdaptiveSearch:
         failed = ~np.isfinite(self._objective)
         if not failed.any():
             return
+        refits = is_refitted(failed.size, self._n_failures_fitted)
+        if refits:
+            self._n_failures_fitted = failed.size
+        guess = self._failed_hyper
         known = Failures.fit(
-            self._features, self._u, failed, self._prior, self._failed_hyper, scale=objective
+            self._features, self._u, failed, self._prior, guess, scale=objective, refits=refits
         )
         self._failed_hyper, self._penalty_expected = known.process.hyper, known
 

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -21,22 +23,39 @@ class Expansion:
         value: What is minimized: squared mean prediction plus caution times the variance, or a penalty.
             [unit squared]
         mse: The error if the mean prediction is right, 0 for a penalty. [unit squared]
-        gradient: Of the value. Shape (p,). [unit squared]
-        hessian: Positive semidefinite part, as in Gauss-Newton's method. Shape (p, p). [unit squared]
+        derivatives: Returns gradient and Hessian. A step that is refused, about every second one, needs none
+            of them, and they are most of the work.
     """
 
     value: float
     mse: float
-    gradient: FloatArray
-    hessian: FloatArray
+    derivatives: Callable[[], tuple[FloatArray, FloatArray]]
+
+    @classmethod
+    def known(cls, value: float, mse: float, gradient: FloatArray, hessian: FloatArray) -> Self:
+        """Return an expansion whose derivatives cost nothing."""
+        return cls(value, mse, lambda: (gradient, hessian))
+
+    @cached_property
+    def _derivatives(self) -> tuple[FloatArray, FloatArray]:
+        return self.derivatives()
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Gradient of the value. Shape (p,). [unit squared]."""
+        return self._derivatives[0]
+
+    @property
+    def hessian(self) -> FloatArray:
+        """Positive semidefinite part, as in Gauss-Newton's method. Shape (p, p). [unit squared]."""
+        return self._derivatives[1]
 
     def __add__(self, other: "Expansion") -> "Expansion":
         """Return the sum of two parts."""
         return Expansion(
             self.value + other.value,
             self.mse + other.mse,
-            self.gradient + other.gradient,
-            self.hessian + other.hessian,
+            lambda: (self.gradient + other.gradient, self.hessian + other.hessian),
         )
 
 

@@ -128,9 +128,13 @@ class Coefficient:
 
 def formulas(points: Points, table: FloatArray, products: Products) -> tuple[Coefficient, ...] | None:
     """Learn the coefficients that are the columns of a table (n, c); None where one is no formula."""
-    found = [Coefficient.fit(points, column, products) for column in table.T]
-    known = tuple(one for one in found if one is not None)
-    return known if len(known) == len(found) else None
+    known = list[Coefficient]()
+    for column in table.T:
+        # After the first that is none, the others need not be looked for.
+        if (found := Coefficient.fit(points, column, products)) is None:
+            return None
+        known.append(found)
+    return tuple(known)
 
 
 def values(table: Sequence[Coefficient], points: Points) -> FloatArray:

@@ -5,7 +5,7 @@ states; the residuals of all are minimized together.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -248,6 +248,12 @@ class ExperimentsODE(LearnedODE):
         part.note(answer)
         return part.is_sure
 
+    def tell(self, think_of: Callable[[str], None]) -> None:
+        """Call this from now on with what is looked at in any experiment."""
+        super().tell(think_of)
+        for part in self._parts:
+            part.tell(think_of)
+
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked, each experiment from its part."""
         self.n_asked += self.predicted is not None
@@ -258,7 +264,7 @@ class ExperimentsODE(LearnedODE):
                 part.note(self._of(one, part._problem, answer, np.flatnonzero(is_new)))
         good = np.isfinite(answer.mse)
         self._u = np.concatenate([self._u, answer.u[good]])
-        self._answered = np.concatenate([self._answered, answer.residuals[good]])
+        self._answers.add(answer.residuals[good])
         self.predicted = None
         self.misfit = max(part.misfit for part in self._parts)
         lacking = ((one.name, part.why_not) for one, part in self._of_each if not part.is_learnt)

@@ -53,6 +53,7 @@ class Failures:
         first_guess: FloatArray | None,
         *,
         scale: float,
+        refits: bool = True,
     ) -> Self:
         """Fit the process to all rows that were asked, of which some failed and some did not.
 
@@ -63,12 +64,15 @@ class Failures:
             prior: Of the parameters, None where nothing is known.
             first_guess: Hyperparameters of an earlier fit to start from. Shape (f + 2,). [1]
             scale: Objective of the row that a step begins at. [unit squared]
+            refits: Whether hyperparameters are fitted again, or those of the first guess taken.
         """
         x, values = features.at(u), failed[:, None].astype(np.float64)
         # As residuals of a single sample that is 0 in the best row, all known equally well.
-        components = Components(values, np.zeros(1), 0.0, np.zeros(1), np.ones(len(u)))
-        belief = Belief.of(x.shape[1])
-        hyper = most_probable(x, components.gram, components.looseness, belief, first_guess)
+        components = Components(values, np.zeros(1), 0.0, np.zeros(1), 1, np.ones(len(u)))
+        hyper = first_guess
+        if hyper is None or refits:
+            belief = Belief.of(x.shape[1])
+            hyper = most_probable(x, values, components.looseness, belief, first_guess)
         return cls(ResidualProcess.through(features, x, components, hyper), prior, scale)
 
     def expected(self, u: FloatArray) -> tuple[float, FloatArray]:
@@ -91,5 +95,5 @@ class Failures:
         weight = self.scale * SEARCH.failed_weight
         # A square begins with slope zero, so that Newton steps see no kink at the edge.
         curvature = 2.0 * weight * np.outer(slope, slope)
-        found = Expansion(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
+        found = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
         return found if self.prior is None else found + self.prior.expand(u)

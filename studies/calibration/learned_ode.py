@@ -16,18 +16,20 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from studies.calibration.box_newton import Expansion
-from studies.calibration.coefficient import LEAST_TO_LEARN, Points
+from studies.calibration.coefficient import LEAST_TO_LEARN, Coefficient, Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationExperiments, EquationModel
+from studies.calibration.growing_rows import GrowingRows
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.largest_samples import outlying_part
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
 from studies.calibration.search_constants import SEARCH
-from studies.calibration.state_equations import StateEquations, Structure
+from studies.calibration.state_equations import NO_FORMULAS, StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.switch_positions import SwitchPositions, with_positions, with_switches
+from studies.calibration.term_choice import Fit
 
 # Random points that are looked at, and how many of the best of them, beside the best rows and the last ends,
 # are walked downhill: nothing else looks for valleys.
@@ -90,9 +92,12 @@ class LearnedODE:
         self._products = Products.of(problem.space)
         self._u = np.empty((0, problem.space.n_parameters))
         self._rows: list[StateRows] = []
-        self._answered = np.empty((0, problem.measurement.n_samples))
+        self._answers = GrowingRows(problem.measurement.n_samples)
         self._structure: Structure | None = None
+        self._fits = list[tuple[Fit, ...]]()
+        self._doubted: int | None = None
         self._n_examined = 0
+        self._lacked = ""
         self._is_refuted = False
         self._equations: StateEquations | None = None
         self._is_given = self.is_given_up = False
@@ -103,6 +108,7 @@ class LearnedODE:
         self._mismatch = 0.0
         self.misfit = np.inf
         self.n_asked = self.n_alone = 0
+        self._think_of: Callable[[str], None] = lambda what: None
         self.why_not = f"fewer than {LEAST_TO_LEARN} simulations show what states did"
 
     @classmethod
@@ -219,6 +225,11 @@ class LearnedODE:
         return np.asarray(jacobians(self._residuals, u[None], self._residuals(u[None]))[0])
 
     @property
+    def _answered(self) -> FloatArray:
+        """Residuals of the rows that it has learnt from. Shape (n, m). [first output's unit]."""
+        return self._answers.rows
+
+    @property
     def n_states(self) -> int:
         """States whose equations it learns, without positions of switches."""
         return self._signals.n_continuous
@@ -265,6 +276,10 @@ class LearnedODE:
         """Return which points (n, p) it has learnt from. Shape (n,)."""
         return np.asarray((self._u == u[:, None]).all(axis=2).any(axis=1))
 
+    def tell(self, think_of: Callable[[str], None]) -> None:
+        """Call this from now on with what is looked at, as that may take seconds."""
+        self._think_of = think_of
+
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
 
@@ -290,7 +305,7 @@ class LearnedODE:
         shown = None if rows.locals is None else rows.locals[whole]
         self._locals.note(shown)
         self._positions.note(shown)
-        self._answered = np.concatenate([self._answered, answer.residuals[whole]])
+        self._answers.add(answer.residuals[whole])
         if self._is_given:
             self._mismatch = self._mismatch_of(self._u, self._answered)
             # Written so that NaN counts as a mismatch, too.
@@ -320,33 +335,51 @@ class LearnedODE:
             self._n_examined = len(self._u)
             signals, structure = self._found_structure()
             self.misfit = structure.misfit
+            self._lacked = structure.lacking
             if structure.lacking:
                 return structure.why_not(signals)
             self._signals, self._structure = structure.of_used(signals)
-            self._course = None
+            self._course, self._fits, self._doubted = None, [], None
         rows = self._all_rows(self._signals)
-        found, self.misfit = self._structure.fitted(self._signals, rows)
+        # A row's fit does not change with others.
+        new = StateRows(*(part[len(self._fits) :] for part in rows[:3]))
+        self._fits += self._structure.fits(self._signals, new)
+        found, self.misfit = self._structure.coefficients(self._fits)
         # Written so that NaN counts as a misfit, too.
         if not self.misfit <= self._structure.most_left:
             self._structure = None
             return DIFFERENT
         points = Points.of(self._problem.space, self._u)
+        columns = [column for table in (*found, rows.x[:, 0]) for column in table.T]
+        # What was no formula with a row less is looked at first, as it mostly is none again.
+        if self._doubted is not None and self._is_open(points, columns[self._doubted]):
+            return NO_FORMULAS
         # One more row may show what a coefficient is, or a switch does: the structure stays.
         equations = StateEquations.learn(
             self._signals, self._structure, points, rows.x, found, self._products
         )
+        is_open = (place for place, column in enumerate(columns) if self._is_open(points, column))
+        self._doubted = next(is_open) if equations == NO_FORMULAS else None
         if self._signals.n_hidden and self._course is None and isinstance(equations, StateEquations):
             return self._with_course(equations, points, rows.x)
         return equations
 
+    def _is_open(self, points: Points, column: FloatArray) -> bool:
+        """Return whether a coefficient, of values (n,) at points, is no formula."""
+        return Coefficient.fit(points, column, self._products) is None
+
     def _found_structure(self) -> tuple[StateSignals, Structure]:
         """Find the terms, with positions of switches where there are none without."""
         signals = self._locals.as_inputs()
-        structure = Structure.of(signals, self._all_rows(signals))
+
+        def think_of(name: str) -> None:
+            self._think_of(f"terms of {name}")
+
+        structure = Structure.of(signals, self._all_rows(signals), self._lacked, think_of)
         switches = tuple(self._positions.known())
         while structure.lacking and switches:
             switching = with_switches(signals, switches)
-            found = Structure.of(switching, self._all_rows(switching))
+            found = Structure.of(switching, self._all_rows(switching), structure.lacking, think_of)
             if found.lacking:
                 break
             # What no term has needs no rule.
@@ -368,6 +401,7 @@ class LearnedODE:
 
     def _with_course(self, equations: StateEquations, points: Points, x: FloatArray) -> StateEquations:
         """Find what hidden inputs do between the outputs; return equations that follow it."""
+        self._think_of("what inputs inside the FMU do between the outputs")
         signals = self._signals
         n_declared = signals.n_declared
         some = spread(len(x), LEAST_TO_LEARN)
@@ -407,6 +441,7 @@ class LearnedODE:
             known: Their points. Shape (n, p). [1]
             rng: Source of the looks.
         """
+        self._think_of("optimum by the state equations")
         p = known.shape[1]
         prior = self._problem.prior
         looks = self._looks(p, rng)
@@ -428,7 +463,7 @@ class LearnedODE:
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
         self.predicted = float(objectives(prior, u[None], self._residuals(u[None]))[0])
         # With no curvature, points that are drawn beside this one spread alike in all directions.
-        return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
+        return u, Expansion.known(value, value, np.zeros(p), np.zeros((p, p)))
 
     def _looks(self, p: int, rng: np.random.Generator) -> FloatArray:
         """Return points of which the best are walked downhill. Shape (n, p). [1]."""

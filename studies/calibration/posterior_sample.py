@@ -48,12 +48,7 @@ class _ProcessSample:
         """Draw from a process."""
         x, (n, r) = process.x, process.coefficients.shape
         inverse_lengths, slope = np.exp(-process.hyper[:-2]), float(np.exp(process.hyper[-2]))
-        factor = np.linalg.inv(process.inverse_factor)
-        # With the rows' noise; a process holds its inverse factor alone.
-        kernel = factor @ factor.T
-        # Each component has its own amplitude.
-        squares = (kernel @ process.coefficients * process.coefficients).sum(axis=0)
-        amplitudes = np.sqrt(np.maximum(squares, 0.0) / n)
+        amplitudes = process.amplitudes
         # A Gaussian kernel's spectral density is normal, with
         # the inverse lengths as deviations (Bochner's theorem).
         frequencies = rng.standard_normal((N_COSINES, x.shape[1])) * inverse_lengths
@@ -65,7 +60,7 @@ class _ProcessSample:
         drawn = np.cos(x @ frequencies.T + phases) @ cosines + x @ slopes + constants
         of_functions = CONSTANT + 1.0 + slope**2 * (x * inverse_lengths) ** 2 @ np.ones(x.shape[1])
         # The diagonal holds kernel and noise of a row; the difference is its noise.
-        noise = np.sqrt(np.maximum(np.diag(kernel) - of_functions, 0.0))
+        noise = np.sqrt(np.maximum(np.diag(process.kernel) - of_functions, 0.0))
         drawn += noise[:, None] * rng.standard_normal((n, r)) * amplitudes
         # Matheron's rule: what the draw does at the rows, noise included, is replaced by what these answered.
         missing = process.inverse_factor.T @ (process.inverse_factor @ drawn)
@@ -76,16 +71,19 @@ class _ProcessSample:
         """Expand the mean squared error of its components around a point (p,)."""
         process = self.process
         x = process.features.at(u)
-        kernels, slopes = process.kernels(u)
-        angles = self.frequencies @ x + self.phases
+        kernels, slopes = process.kernels_and_slopes(u)
+        angles, m = self.frequencies @ x + self.phases, process.n_residuals
         residuals = process.level + np.cos(angles) @ self.cosines + x @ self.slopes + self.constants
-        jacobian = self.slopes - self.frequencies.T @ (np.sin(angles)[:, None] * self.cosines)
-        pulled = process.features.pull_back(u, jacobian.T).T
         residuals = residuals + kernels @ self.coefficients
-        jacobian = pulled + slopes.T @ self.coefficients
-        m = process.n_residuals
         mse = (process.outside + float(residuals @ residuals)) / m
-        return Expansion(mse, mse, 2.0 * (jacobian @ residuals) / m, 2.0 * (jacobian @ jacobian.T) / m)
+
+        def derivatives() -> tuple[FloatArray, FloatArray]:
+            jacobian = self.slopes - self.frequencies.T @ (np.sin(angles)[:, None] * self.cosines)
+            pulled = process.features.pull_back(u, jacobian.T).T
+            jacobian = pulled + slopes().T @ self.coefficients
+            return 2.0 * (jacobian @ residuals) / m, 2.0 * (jacobian @ jacobian.T) / m
+
+        return Expansion(mse, mse, derivatives)
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,7 +132,7 @@ class Prior:
         """Expand the penalty around a point (p,): exactly, as it is a parabola."""
         d, slopes = self.deviations(u), 1.0 / self.width
         curvature = 2.0 * self.weight * np.diag(slopes**2)
-        return Expansion(self.weight * float(d @ d), 0.0, 2.0 * self.weight * d * slopes, curvature)
+        return Expansion.known(self.weight * float(d @ d), 0.0, 2.0 * self.weight * d * slopes, curvature)
 
 
 def independent_samples(measurement: Measurement) -> float:

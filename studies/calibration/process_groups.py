@@ -34,6 +34,16 @@ CLOSER, PER_COMPONENT = 0.7, 2.0
 NOISE_POWER, NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
 
 
+# Hyperparameters are fitted again where rows have grown by this part of themselves: a fit takes some fifty
+# factorizations, a round few. Up to 32 rows each row counts.
+WORTH_A_FIT = 1 / 32
+
+
+def is_refitted(n_rows: int, n_fitted: int) -> bool:
+    """Return whether so many rows are worth another fit of hyperparameters, after one to so many."""
+    return abs(n_rows - n_fitted) >= WORTH_A_FIT * n_rows
+
+
 class Part(NamedTuple):
     """Residuals that depend on the same parameters.
 
@@ -76,19 +86,24 @@ class ProcessGroups:
         *,
         balance: bool = False,
         n_noisy: int | None = None,
+        n_residuals: int | None = None,
+        refits: bool = True,
     ) -> Self:
         """Fit the processes to rows that were simulated.
 
         Args:
             features: The coordinates that the kernels shall see.
             u: Points, at least two. Shape (n, p). [1]
-            residuals: Their residuals, finite. Shape (n, m). [unit]
+            residuals: Their residuals, finite, or coordinates of these in an orthonormal basis. Shape (n, m).
+                [unit]
             first_guess: Hyperparameters of an earlier fit to start from.
             balance: Whether lengths are to suit small components of the residuals as well as large ones.
             n_noisy: So many rows, the first ones, have noise by their errors, the others all as little as
                 the best row; None for all.
+            n_residuals: Residuals in a row where coordinates are given, None for m.
+            refits: Whether hyperparameters are fitted again, or those of the first guess taken.
         """
-        x, components = features.at(u), Components.of(residuals, NOISE_POWER)
+        x, components = features.at(u), Components.of(residuals, NOISE_POWER, n_residuals)
         if n_noisy is not None:
             looseness = components.looseness
             is_noisy = np.arange(len(u)) < n_noisy
@@ -97,8 +112,10 @@ class ProcessGroups:
 
         def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:
             guess = first_guess[place] if place < len(first_guess) else None
-            gram = balanced(group.gram, group.best) if balance else group.gram
-            return most_probable(x, gram, group.looseness, belief, guess)
+            if guess is not None and not refits:
+                return guess
+            values = balanced(group.values, group.best) if balance else group.values
+            return most_probable(x, values, group.looseness, belief, guess)
 
         groups = components.split(LEADING)
         # All components go first: the groups' priors lie around these lengths.
@@ -145,17 +162,16 @@ class ProcessGroups:
         return covariance
 
 
-def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
-    """Return the Gram matrix with its large components scaled down. Shape (n, n). [unit squared].
+def balanced(values: FloatArray, best: FloatArray) -> FloatArray:
+    """Return components of rows whose large principal components are scaled down. Shape (n, k). [unit].
 
     What moves the residuals most would else decide alone, also the lengths of what hardly moves them.
 
     Args:
-        gram: Products of the rows' residuals. Shape (n, n). [unit squared]
+        values: The rows' components. Shape (n, r). [unit]
         best: Best row's residuals. Shape (m,). [unit]
     """
-    squares, directions = np.linalg.eigh(gram)
-    squares = np.maximum(squares, 0.0)
+    directions, sizes, _ = np.linalg.svd(values, full_matrices=False)
     # Small components count in proportion, large ones by their root, with no step between.
-    scale = np.sqrt(squares / len(gram) + LARGE * float(best @ best) + np.finfo(float).tiny)
-    return np.asarray((directions * (squares / scale)) @ directions.T, dtype=np.float64)
+    scale = np.sqrt(sizes**2 / len(values) + LARGE * float(best @ best) + np.finfo(float).tiny)
+    return np.asarray(directions * (sizes / np.sqrt(scale)), dtype=np.float64)

@@ -20,12 +20,14 @@ class Progress:
         n_done: Model rows asked so far in this phase.
         n_total: Most rows that this phase may ask, or None without a limit.
         best_mse: MSE of the best row so far. [first output's unit squared]
+        thinks_of: What a search looks at before it asks the next row, "" after a row.
     """
 
     phase: str
     n_done: int
     n_total: int | None
     best_mse: float
+    thinks_of: str = ""
 
 
 OnProgress = Callable[[Progress], None]
@@ -185,9 +187,14 @@ class Recorder:
         self._counter.pay(n_rows)
         self._report()
 
-    def _report(self) -> None:
+    def think_of(self, what: str) -> None:
+        """Report what is looked at before the next row is asked, as that may take seconds."""
+        self._report(what)
+
+    def _report(self, thinks_of: str = "") -> None:
         if self._on_progress is not None:
-            self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
+            done = (self._phase, self.n_calls, self._n_total, self.best_mse)
+            self._on_progress(Progress(*done, thinks_of))
 
     def know(self, evaluation: Evaluation) -> None:
         """Take note of rows that were answered, or simulated before (warm start)."""

@@ -35,6 +35,8 @@ JITTER = 1e-13
 
 # Residuals of one trajectory are far from independent; this many count as independent in the likelihood.
 N_INDEPENDENT = 12.0
+# Principal components of the residuals that are smaller than the first one by this factor are rounding.
+NEGLIGIBLE = 1e-8
 # A fit goes on where the last one stopped.
 MAX_FIT_ITERATIONS = 15
 # Hyperparameters are kept to so many digits: rounding noise of one fit does not grow into the next.
@@ -99,28 +101,28 @@ def between(x: FloatArray, others: FloatArray, hyper: FloatArray) -> FloatArray:
 
 
 def most_probable(
-    x: FloatArray, gram: FloatArray, looseness: FloatArray, belief: Belief, first_guess: FloatArray | None
+    x: FloatArray, values: FloatArray, looseness: FloatArray, belief: Belief, first_guess: FloatArray | None
 ) -> FloatArray:
     """Return the hyperparameters that maximize the profiled likelihood times the priors. Shape (f + 2,).
 
     Args:
         x: Points. Shape (n, f). [1]
-        gram: Products of the rows' residuals. Shape (n, n). [unit squared]
+        values: The rows' residuals, in any orthonormal basis. Shape (n, r). [unit]
         looseness: Factors of the rows' noise variances. Shape (n,). [1]
         belief: The priors.
         first_guess: Where the search begins, the priors' mean when None. Shape (f + 2,). [1]
     """
     n, f = x.shape
     mean, deviation, n_independent = belief
-    total = float(np.trace(gram))
+    total = float(np.square(values).sum())
     # Rows that all answer alike teach nothing.
     if total <= 0.0:
         return mean
     # The amplitude is profiled out, so that scale is free: with a trace of n all numbers are of size 1.
-    gram = gram * (n / total)
+    values = _leading(values * np.sqrt(n / total))
 
     def loss(hyper: FloatArray) -> tuple[float, FloatArray]:
-        value, gradient = _negative_log_likelihood(x, gram, looseness, hyper, n_independent)
+        value, gradient = _negative_log_likelihood(x, values, looseness, hyper, n_independent)
         step = (hyper - mean) / deviation
         return value + 0.5 * float(step @ step), gradient + step / deviation
 
@@ -135,21 +137,27 @@ def most_probable(
     return np.asarray(np.round(found.x, FIT_DECIMALS), dtype=np.float64)
 
 
+def _leading(values: FloatArray) -> FloatArray:
+    """Return principal components of rows (n, r) without those of rounding. Shape (n, k)."""
+    directions, sizes, _ = np.linalg.svd(values, full_matrices=False)
+    n_kept = int((sizes > NEGLIGIBLE * sizes[0]).sum())
+    return np.asarray(directions[:, :n_kept] * sizes[:n_kept], dtype=np.float64)
+
+
 def _negative_log_likelihood(
-    x: FloatArray, gram: FloatArray, looseness: FloatArray, hyper: FloatArray, n_independent: float
+    x: FloatArray, values: FloatArray, looseness: FloatArray, hyper: FloatArray, n_independent: float
 ) -> tuple[float, FloatArray]:
-    """Return -log p of the residuals' Gram matrix, amplitude profiled out, and its gradient."""
+    """Return -log p of the residuals (n, r), amplitude profiled out, and its gradient."""
     n = len(x)
     matrix, bumps, linear = kernel_matrix(x, hyper, looseness)
-    factor = inverse_factor(matrix)
-    inverse = factor.T @ factor
-    explained = inverse @ gram
-    trace = float(np.trace(explained))
+    inverse, log_determinant = _inverse(matrix)
+    weighed = inverse @ values
+    trace = float((values * weighed).sum())
     # Negative log marginal likelihood (Rasmussen and Williams
     # 2006, Eq. 5.8) at its best amplitude, trace / n.
-    value = 0.5 * n_independent * (-2.0 * float(np.log(np.diag(factor)).sum()) + n * np.log(trace / n))
+    value = 0.5 * n_independent * (log_determinant + n * np.log(trace / n))
     # d value / d kernel matrix
-    slopes = 0.5 * n_independent * (inverse - (n / trace) * (explained @ inverse))
+    slopes = 0.5 * n_independent * (inverse - (n / trace) * (weighed @ weighed.T))
     gradient = np.empty(hyper.size)
     bumps = slopes * bumps
     # With S symmetric, sum S_ij (x_i - x_j)² = 2 (sum s_i x_i² - x' S x): two products serve all lengths.
@@ -158,6 +166,16 @@ def _negative_log_likelihood(
     gradient[-2] = 2.0 * (slopes * linear).sum()
     gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * (np.diag(slopes) * looseness).sum()
     return value, gradient
+
+
+def _inverse(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return a positive definite matrix's inverse, shape (n, n), and its determinant's logarithm."""
+    factor = np.linalg.cholesky(matrix)
+    # From the factor alone, in half of the operations that its inverse and a product take.
+    half, _ = lapack.dpotri(factor, lower=1)
+    inverse = half + half.T
+    np.fill_diagonal(inverse, np.diag(half))
+    return np.asarray(inverse, dtype=np.float64), 2.0 * float(np.log(np.diag(factor)).sum())
 
 
 def inverse_factor(matrix: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ cube: its coordinates and, for logarithmic parameters, the linear coordinate too
 proportional to a parameter, others to its logarithm, and the kernel's lengths say which.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -82,7 +83,8 @@ class Components:
         values: The differences. Shape (n, r). [unit]
         level: Best row's residuals in the basis. Shape (r,). [unit]
         outside: Sum of squares of the best row's residuals outside the basis. [unit squared]
-        best: Best row's residuals. Shape (m,). [unit]
+        best: Best row's residuals, or their coordinates. Shape (m,). [unit]
+        n_residuals: Residuals in a row.
         looseness: Factors of the rows' noise variances, which grow with their errors: of a row far from the
             measurement a process need only know that it is far; near it, small differences decide.
             Shape (n,). [1]
@@ -92,11 +94,18 @@ class Components:
     level: FloatArray
     outside: float
     best: FloatArray
+    n_residuals: int
     looseness: FloatArray
 
     @classmethod
-    def of(cls, residuals: FloatArray, power: int = 1) -> Self:
-        """Return all components of residuals (n, m); noise variances are errors to a power."""
+    def of(cls, residuals: FloatArray, power: int = 1, n_residuals: int | None = None) -> Self:
+        """Return all components of rows.
+
+        Args:
+            residuals: The rows' residuals, or their coordinates in an orthonormal basis. Shape (n, m).
+            power: Noise variances are errors to this power.
+            n_residuals: Residuals in a row where coordinates are given, None for m.
+        """
         squares = (residuals**2).sum(axis=1)
         best = residuals[int(np.argmin(squares))]
         # n rows differ in n directions at most: from here on,
@@ -107,9 +116,10 @@ class Components:
         loose = (
             np.maximum((squares / size) ** power, LEAST_LOOSENESS) if size > 0.0 else np.ones(len(residuals))
         )
+        m = best.size if n_residuals is None else n_residuals
         # Pythagoras: what the basis does not hold is the
         # difference of squares, which rounding may make negative.
-        return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, loose)
+        return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, m, loose)
 
     def split(self, part: float) -> list[Self]:
         """Return the fewest components that hold a part of the differences' squares, and the others.
@@ -131,11 +141,6 @@ class Components:
                 (directions[:, n_leading:], 0.0),
             )
         ]
-
-    @property
-    def gram(self) -> FloatArray:
-        """Products of the rows' differences. Shape (n, n). [unit squared]."""
-        return self.values @ self.values.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +189,7 @@ class ResidualProcess:
         """
         components, x = Components.of(residuals), features.at(u)
         belief = Belief.of(x.shape[1])
-        hyper = most_probable(x, components.gram, components.looseness, belief, first_guess)
+        hyper = most_probable(x, components.values, components.looseness, belief, first_guess)
         return cls.through(features, x, components, hyper)
 
     @classmethod
@@ -192,7 +197,7 @@ class ResidualProcess:
         """Return the process with known hyperparameters (f + 2,) through components of rows at x (n, f)."""
         factor = inverse_factor(kernel_matrix(x, hyper, components.looseness)[0])
         coefficients = factor.T @ (factor @ components.values)
-        m = components.best.size
+        m = components.n_residuals
         # The most probable amplitude in closed form: the trace of
         # the inverse kernel matrix times the Gram matrix, per value.
         variance = float((components.values * coefficients).sum()) / (len(x) * m)
@@ -205,14 +210,31 @@ class ResidualProcess:
         """Inverse squared lengths of the features, shape (f,) [1], and the squared slope [1]."""
         return np.exp(-2.0 * self.hyper[:-2]), float(np.exp(2.0 * self.hyper[-2]))
 
+    @cached_property
+    def kernel(self) -> FloatArray:
+        """The kernel matrix with the rows' noise. Shape (n, n). [1]."""
+        factor = np.linalg.inv(self.inverse_factor)
+        return np.asarray(factor @ factor.T)
+
+    @cached_property
+    def amplitudes(self) -> FloatArray:
+        """Most probable amplitude of each component by itself. Shape (r,). [unit]."""
+        squares = (self.kernel @ self.coefficients * self.coefficients).sum(axis=0)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0) / len(self.x)))
+
     def kernels(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the kernels of a point (p,) with the rows, shape (n,), and by its coordinates, (n, p)."""
+        k, slopes = self.kernels_and_slopes(u)
+        return k, slopes()
+
+    def kernels_and_slopes(self, u: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
+        """Return the kernels of a point (p,) with the rows, and what makes the slopes of these, see above."""
         weights, slope = self._weights
         x = self.features.at(u)
         away = x - self.x
         bumps = np.exp(-0.5 * (away**2) @ weights)
         k = CONSTANT + bumps + slope * self.x @ (x * weights)
-        return k, self.features.pull_back(u, (slope * self.x - bumps[:, None] * away) * weights)
+        return k, lambda: self.features.pull_back(u, (slope * self.x - bumps[:, None] * away) * weights)
 
     def expand(self, u: FloatArray, caution: float) -> Expansion:
         """Expand the expected error around a point.
@@ -221,28 +243,37 @@ class ResidualProcess:
             u: The point. Shape (p,). [1]
             caution: Part of the predictive variance that is added to the squared mean. [1]
         """
-        k, dk = self.kernels(u)
-        residuals, jacobian = self.level + k @ self.coefficients, dk.T @ self.coefficients
+        k, slopes = self.kernels_and_slopes(u)
+        residuals = self.level + k @ self.coefficients
         mse = (self.outside + float(residuals @ residuals)) / self.n_residuals
-        gradient = 2.0 * (jacobian @ residuals) / self.n_residuals
-        # Gauss-Newton: without the residuals' own curvature it is never indefinite.
-        hessian = 2.0 * (jacobian @ jacobian.T) / self.n_residuals
-        if caution == 0.0:  # half of the work is the variance
-            return Expansion(mse, mse, gradient, hessian)
         weights, slope = self._weights
-        x = self.features.at(u)
-        # Curvature of the variance: twice the covariance of the slopes, and a rest that vanishes at the data.
-        known, dknown = self.inverse_factor @ k, self.inverse_factor @ dk
-        # Beside a row, rounding may make it negative.
-        variance = max(CONSTANT + 1.0 + slope * float(x**2 @ weights) - float(known @ known), 0.0)
-        dprior = self.features.pull_back(u, slope * x * weights)
-        # Variance of the slopes beforehand: the kernel's mixed
-        # second derivative at distance zero, (1 + a²) / L².
-        roots = self.features.pull_back(u, np.diag(np.sqrt((1.0 + slope) * weights)))
         scale = caution * self.variance
-        gradient = gradient + 2.0 * scale * (dprior - dknown.T @ known)
-        hessian = hessian + 2.0 * scale * (roots.T @ roots - dknown.T @ dknown)
-        return Expansion(mse + scale * variance, mse, gradient, hessian)
+        x, known, variance = self.features.at(u), np.empty(0), 0.0
+        if caution > 0.0:  # half of the work is the variance
+            known = self.inverse_factor @ k
+            # Beside a row, rounding may make it negative.
+            variance = max(CONSTANT + 1.0 + slope * float(x**2 @ weights) - float(known @ known), 0.0)
+
+        def derivatives() -> tuple[FloatArray, FloatArray]:
+            dk = slopes()
+            jacobian = dk.T @ self.coefficients
+            gradient = 2.0 * (jacobian @ residuals) / self.n_residuals
+            # Gauss-Newton: without the residuals' own curvature it is never indefinite.
+            hessian = 2.0 * (jacobian @ jacobian.T) / self.n_residuals
+            if caution == 0.0:
+                return gradient, hessian
+            # Curvature of the variance: twice the covariance of the
+            # slopes, and a rest that vanishes at the data.
+            dknown = self.inverse_factor @ dk
+            dprior = self.features.pull_back(u, slope * x * weights)
+            # Variance of the slopes beforehand: the kernel's mixed
+            # second derivative at distance zero, (1 + a²) / L².
+            roots = self.features.pull_back(u, np.diag(np.sqrt((1.0 + slope) * weights)))
+            gradient = gradient + 2.0 * scale * (dprior - dknown.T @ known)
+            hessian = hessian + 2.0 * scale * (roots.T @ roots - dknown.T @ dknown)
+            return gradient, hessian
+
+        return Expansion(mse + scale * variance, mse, derivatives)
 
     def errors(self, u: FloatArray) -> FloatArray:
         """Return the mean squared errors at points (n, p) if the mean prediction is right. Shape (n,)."""

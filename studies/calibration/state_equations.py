@@ -9,7 +9,7 @@ of an office with 14 parameters its trajectories are known about as well as from
 that knows outputs alone. The rows show whether a model follows such equations.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -32,7 +32,7 @@ from studies.calibration.state_terms import (
 )
 from studies.calibration.states import StateRows, StateSignals
 from studies.calibration.switch_rules import switch_rules
-from studies.calibration.term_choice import chosen_terms, fitted
+from studies.calibration.term_choice import Fit, chosen_terms, fitted
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave: at least, and at most
 # where the error of the FMU's solver leaves more.
@@ -48,6 +48,9 @@ MOST_RULE_ROWS = 16
 # States at all steps that are held in memory at once.
 # 32 MB, at 8 bytes each.
 MOST_VALUES = 4_000_000
+
+
+NO_FORMULAS = "not all coefficients are formulas of the parameters"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,26 +70,39 @@ class Structure:
     most_left: float = LEARNT
 
     @classmethod
-    def of(cls, signals: StateSignals, rows: StateRows) -> Self:
+    def of(
+        cls,
+        signals: StateSignals,
+        rows: StateRows,
+        lacked: str = "",
+        think_of: Callable[[str], None] = lambda what: None,
+    ) -> Self:
         """Find the terms.
 
         Args:
             signals: What is known of the states.
             rows: What they and the outputs did.
+            lacked: The variable for which none was found in fewer rows, "" for none: it is looked at first.
+            think_of: Called with each variable's name before its terms are looked for.
         """
-        sums, worst = list[Sum](), 0.0
+        sums, worst = dict[int, Sum](), 0.0
         # A part of the rows, at a part of the times, is enough to find the terms.
         some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
         x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
         names = (*signals.derivatives, *signals.outputs)
-        for own, name, target in zip(owns, names, _targets(rows), strict=True):
-            found, misfit = _sum(signals, own, x, inputs, target[np.ix_(some, times)])
+        targets = _targets(rows)
+        # Most models that follow no such equations lack the same variable again: nothing else is tried.
+        for place in sorted(range(len(owns)), key=lambda place: names[place] != lacked):
+            think_of(names[place])
+            target = targets[place][np.ix_(some, times)]
+            found, misfit = _sum(signals, owns[place], x, inputs, target)
             if not found.terms:
-                return cls((), misfit, name)
-            sums.append(found)
+                return cls((), misfit, names[place])
+            sums[place] = found
             worst = max(worst, misfit)
-        return cls(tuple(sums), worst, most_left=max(most_left(signals, own, x) for own in owns))
+        most = max(most_left(signals, own, x) for own in owns)
+        return cls(tuple(sums[place] for place in range(len(owns))), worst, most_left=most)
 
     def why_not(self, signals: StateSignals) -> str:
         """Say for which variable no sum was found, and what was offered."""
@@ -124,21 +140,32 @@ class Structure:
         """Return the positions among states and inputs that terms have."""
         return {place for one in self.sums for term in one.terms for place in (term.column, *term.factors)}
 
-    def fitted(self, signals: StateSignals, rows: StateRows) -> tuple[list[FloatArray], float]:
-        """Fit the coefficients of every row.
+    def fits(self, signals: StateSignals, rows: StateRows) -> list[tuple[Fit, ...]]:
+        """Fit the coefficients of every row; return those of all sums for each.
 
         Args:
             signals: What is known of the states.
             rows: What they and the outputs did.
+        """
+        by_sum = list[list[Fit]]()
+        for one, target in zip(self.sums, _targets(rows), strict=True):
+            values = one.values(rows.x[:, 1:], signals.at_outputs[1:])
+            by_sum.append([fitted(value, goal) for value, goal in zip(values, target, strict=True)])
+        return list(zip(*by_sum, strict=True))
+
+    @staticmethod
+    def coefficients(by_row: Sequence[tuple[Fit, ...]]) -> tuple[list[FloatArray], float]:
+        """Return the coefficients of every row.
+
+        Args:
+            by_row: What `fits` returned.
 
         Returns:
             Coefficients of every sum, shapes (n, terms), NaN where a row leaves them open, and the greatest
             share of squares that is left. [1]
         """
         found, worst = list[FloatArray](), 0.0
-        for one, target in zip(self.sums, _targets(rows), strict=True):
-            values = one.values(rows.x[:, 1:], signals.at_outputs[1:])
-            fits = [fitted(value, goal) for value, goal in zip(values, target, strict=True)]
+        for fits in zip(*by_row, strict=True):
             deviation = np.array([fit.deviation for fit in fits])
             # In some rows one state follows another so closely that their terms cannot be separated.
             # A wall may follow the weather at once. With such coefficients, 4 of 45
@@ -253,16 +280,18 @@ class StateEquations:
             structure: The terms.
             points: The rows.
             x: States, from the first output that is watched. Shape (n, t, s). [FMU's units]
-            found: Coefficients of every row, from `Structure.fitted`.
+            found: Coefficients of every row, from `Structure.coefficients`.
             products: Of the box's parameters.
 
         Returns:
             The equations, or in words why there are none.
         """
-        by_term = [one for table in found if (one := formulas(points, table, products)) is not None]
-        start = formulas(points, x[:, 0], products)
-        if start is None or len(by_term) < len(found):
-            return "not all coefficients are formulas of the parameters"
+        by_term = list[tuple[Coefficient, ...]]()
+        for table in (*found, x[:, 0]):
+            if (known := formulas(points, table, products)) is None:
+                return NO_FORMULAS
+            by_term.append(known)
+        start = by_term.pop()
         flow = _flow(signals, structure)
         equations = cls(signals, structure, tuple(by_term), start, flow)
         # Matrix exponentials are exact: no step has to be refined.

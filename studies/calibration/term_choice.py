@@ -28,6 +28,9 @@ NEEDLESS = 1e-10
 MOST_TERMS = 16
 # So many candidates, at twice as many times, are looked at all at once.
 MOST_AT_ONCE = 200
+# What is left of a column's square, of size 1, below which subtracted squares no longer tell it.
+# Half of a number's 16 digits, less those that sixteen differences cost.
+CANCELLED = 1e-6
 # What is left of a column of size 1 beside others, at least.
 ROUNDING = 1e-13
 
@@ -54,6 +57,8 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     # Columns of length 1: terms of any unit compare, and products of columns are cosines.
     norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
     values = values / np.where(norm > 0.0, norm, 1.0)
+    # A term that is not finite everywhere is none.
+    values[..., ~np.isfinite(values).all(axis=(0, 1))] = 0.0
     chosen, left = _added(values, target, [])
     # One by one, x y and y were missed among 64 terms and six others taken; as a pair
     # they are found (docs/notes/state-equations.md, Functions and compiled steps).
@@ -83,19 +88,8 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
 
     def left_by(chosen: list[int]) -> tuple[float, FloatArray]:
         """Return what terms leave of the squares, and how much more each of them would, taken away."""
-        axes, triangle = np.linalg.qr(columns[..., chosen])
-        diagonal = np.arange(len(chosen))
-        pivots = triangle[:, diagonal, diagonal]
-        # A column that others make up has a pivot of rounding, or of zero; the inverse has to exist.
-        triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < ROUNDING, ROUNDING, pivots)
-        inverse = np.linalg.inv(triangle)
-        along = np.einsum("nij,ni->nj", axes, goals)
-        found = np.einsum("nij,nj->ni", inverse, along)
-        # Without a term, squares grow by its coefficient squared over its diagonal
-        # of the inverse normal matrix: one factorization judges all terms.
-        more = np.square(found) / np.square(inverse).sum(axis=2) / size[:, None]
-        left = (np.square(goals).sum(axis=1) - np.square(along).sum(axis=1)) / size
-        return float(out_of_reach + np.maximum(left, 0.0).mean()), more.mean(axis=0)
+        left, more = _more_without(columns[..., chosen], goals, size)
+        return float(out_of_reach + left), more
 
     chosen = list(range(n))
     left, more = left_by(chosen)
@@ -119,15 +113,17 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
 def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[list[int], float]:
     """Add terms to those that are begun with, take needless ones away; return them and what they leave."""
     size = np.square(target).sum(axis=1) + np.finfo(float).tiny
-    chosen, left, rest = list[int](), target.copy(), values.copy()
+    chosen, left, axes = list[int](), target.copy(), values[..., :0]
+    squares = np.square(values).sum(axis=1)
     while len(chosen) < min(MOST_TERMS, values.shape[2], target.shape[1] - 1):
-        squares = np.square(rest).sum(axis=1)
         if len(chosen) < len(begun):
             best = begun[len(chosen)]
         else:
             # What is left of a column after those before it is rounding.
             is_new = squares > 1e-20
-            along = np.einsum("nt,ntf->nf", left, rest) ** 2
+            # What is left of the target is orthogonal to the axes: its products
+            # with columns are those with what is left of these, which is never made.
+            along = np.square(left[:, None] @ values)[:, 0]
             gain = np.where(is_new, along, 0.0) / np.where(is_new, squares, 1.0)
             share = (gain / size[:, None]).mean(axis=0)
             # Rounding leaves a direction to columns that were chosen; they must not be chosen again.
@@ -136,15 +132,29 @@ def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[li
             if share[best] <= 0.0:
                 break
         chosen.append(best)
-        axis = rest[..., best] / np.sqrt(np.maximum(squares[:, best], 1e-300))[:, None]
-        # Modified Gram-Schmidt: all columns lose the new axis at once, so that the next gains need no fit.
-        rest = rest - axis[..., None] * np.einsum("nt,ntf->nf", axis, rest)[:, None]
-        left = left - axis * np.einsum("nt,nt->n", axis, left)[:, None]
-        # `left` carries the rounding of all steps before; only a fit of its own resolves 16 digits.
-        if unexplained(values, target, chosen) <= COMPLETE:
+        axis = _beside(axes, values[..., [best]])
+        axis /= np.sqrt(np.maximum(np.square(axis).sum(axis=1, keepdims=True), 1e-300))
+        axes = np.concatenate([axes, axis], axis=2)
+        left = _beside(axes, left[..., None])[..., 0]
+        squares = squares - np.square(axis.transpose(0, 2, 1) @ values)[:, 0]
+        # A difference of nearly equal squares is rounding: these few columns are projected.
+        few = np.flatnonzero((squares < CANCELLED).any(axis=0))
+        squares[:, few] = np.square(_beside(axes, values[..., few])).sum(axis=1)
+        # Only a fit of its own resolves 16 digits.
+        is_near = float((np.square(left).sum(axis=1) / size).mean()) <= NEARLY_COMPLETE
+        if is_near and unexplained(values, target, chosen) <= COMPLETE:
             break
     chosen = _without_needless(values, target, chosen or [values.shape[2] - 1])
     return chosen, unexplained(values, target, chosen)
+
+
+def _beside(axes: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return what is left of columns (n, t, f) beside orthonormal axes (n, t, k). Shape (n, t, f)."""
+    # Twice is enough for all digits.
+    # (Gram-Schmidt, repeated once: Giraud and others 2005, doi:10.1007/s00211-005-0615-4.)
+    for _ in range(2):
+        columns = columns - axes @ (axes.transpose(0, 2, 1) @ columns)
+    return columns
 
 
 def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
@@ -152,8 +162,7 @@ def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
     explained = np.zeros((values.shape[2],) * 2)
     for columns, goal in zip(values, target, strict=True):
         along = goal @ columns / np.sqrt(goal @ goal + np.finfo(float).tiny)
-        share = explained_by_pairs(columns, along, alike=0.0)
-        explained += np.nan_to_num(np.minimum(share, 1.0), nan=0.0)
+        explained += np.minimum(explained_by_pairs(columns, along, alike=0.0), 1.0)
     first, second = np.unravel_index(int(np.argmax(explained)), explained.shape)
     return [int(first), int(second)] if explained[first, second] > 0.0 else []
 
@@ -168,9 +177,12 @@ def explained_by_pairs(columns: FloatArray, along: FloatArray, *, alike: float) 
     """
     cosines = columns.T @ columns
     sines = 1.0 - cosines**2
-    # (a² + b² - 2 a b c) / (1 - c²), c being their cosine.
-    both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
-    return np.where(sines > SAME_TERM, both / np.maximum(sines, SAME_TERM), alike)
+    # (a² + b² - 2 a b c) / (1 - c²), c being their cosine; in place, as there may be millions of pairs.
+    both = along[:, None] ** 2 + along**2
+    cosines *= 2.0 * np.outer(along, along)
+    both -= cosines
+    explained: FloatArray = np.full_like(both, alike)
+    return np.divide(both, sines, out=explained, where=sines > SAME_TERM)
 
 
 class Fit(NamedTuple):
@@ -216,13 +228,40 @@ def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -
     return float(np.mean([fitted(one, goal).left for one, goal in zip(picked, target, strict=True)]))
 
 
+def _more_without(columns: FloatArray, goals: FloatArray, size: FloatArray) -> tuple[float, FloatArray]:
+    """Return what terms leave of a target's squares, and how much more without each of them, means over rows.
+
+    Args:
+        columns: The terms. Shape (n, t, f).
+        goals: The target. Shape (n, t).
+        size: Squares of which shares are taken. Shape (n,).
+
+    Returns:
+        The share that all of them leave, and how much more is left without each. Shape (f,). [1]
+    """
+    axes, triangle = np.linalg.qr(columns)
+    diagonal = np.arange(columns.shape[2])
+    pivots = triangle[:, diagonal, diagonal]
+    # A column that others make up has a pivot of rounding, or of zero; the inverse has to exist.
+    triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < ROUNDING, ROUNDING, pivots)
+    inverse = np.linalg.inv(triangle)
+    along = np.einsum("nij,ni->nj", axes, goals)
+    found = np.einsum("nij,nj->ni", inverse, along)
+    # Without a term, squares grow by its coefficient squared over its diagonal
+    # of the inverse normal matrix: one factorization judges all terms.
+    more = np.square(found) / np.square(inverse).sum(axis=2) / size[:, None]
+    left = (np.square(goals).sum(axis=1) - np.square(along).sum(axis=1)) / size
+    return float(np.maximum(left, 0.0).mean()), more.mean(axis=0)
+
+
 def _without_needless(values: FloatArray, target: FloatArray, chosen: list[int]) -> list[int]:
     limit = max(NEEDLESS, 10.0 * unexplained(values, target, chosen))
+    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
     while len(chosen) > 1:
-        without = [chosen[:rank] + chosen[rank + 1 :] for rank in range(len(chosen))]
-        left = [unexplained(values, target, others) for others in without]
-        least = int(np.argmin(left))
-        if left[least] > limit:
+        _, more = _more_without(values[..., chosen], target, size)
+        least = int(np.argmin(more))
+        without = chosen[:least] + chosen[least + 1 :]
+        if unexplained(values, target, without) > limit:
             break
-        chosen = without[least]
+        chosen = without
     return chosen

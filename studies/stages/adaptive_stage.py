@@ -208,10 +208,12 @@ def _reporter(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Pro
                 "share"
             )
         calls = count(now.n_done, "call")
-        bars("adaptive", now.n_done, now.n_total or now.n_done, f", {calls}, {best}")
+        known = f"{calls}, {best}" if np.isfinite(now.best_mse) else calls
+        news = f"{known}, now: {now.thinks_of}" if now.thinks_of else known
+        bars("adaptive", now.n_done, now.n_total or now.n_done, f", {news}")
         if not study.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:
             last_said = time.monotonic()
-            study.console.say(f"{STAGE}: {calls}, {best}")
+            study.console.say(f"{STAGE}: {news}")
 
     return report
 

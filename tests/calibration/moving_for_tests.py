@@ -135,7 +135,7 @@ def learnt(model: Moving, n: int) -> StateEquations:
     rows = watched.seen(watched.simulate(space.from_unit(u)).theta)
     structure = Structure.of(model.signals, rows)
     assert structure.misfit < LEARNT
-    found, _ = structure.fitted(model.signals, rows)
+    found, _ = structure.coefficients(structure.fits(model.signals, rows))
     equations = StateEquations.learn(
         model.signals, structure, Points.of(space, u), rows.x, found, Products.of(space)
     )

@@ -20,7 +20,7 @@ def two_valleys(u: FloatArray, *, caution: float, unsure_at: float) -> Expansion
     mse, bottom = min((known, 0.2), (other, 0.8))
     variance = 3.0 * float(abs(u[0] - unsure_at) < 0.1)
     slope = np.array([100.0 * (u[0] - bottom)])
-    return Expansion(mse + caution * variance, mse, slope, np.array([[100.0]]))
+    return Expansion.known(mse + caution * variance, mse, slope, np.array([[100.0]]))
 
 
 @pytest.mark.parametrize(("unsure_at", "tolerance"), [(0.8, 1e-3), (0.5, 0.1)])
