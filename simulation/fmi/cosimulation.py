@@ -1,6 +1,7 @@
 """Co-simulation: the FMU brings its own solver, and is driven from one communication step to the next."""
 
 import ctypes
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from simulation.fmi.start import RunPlan, Start
 _TERMINATED = 3
 
 
+@cache
 def prepare() -> None:
-    """Compile the loop, for whatever FMU; twice takes no time."""
+    """Compile the loop, for whatever FMU, once in a process."""
     table, times = np.zeros((0, 5), dtype=np.intp), np.zeros(1)
     references = np.zeros(0, dtype=np.uint32)
     make_ready(step_through, table[:, 0].copy(), 0, table, references, times, 1, times, np.zeros((1, 0)))

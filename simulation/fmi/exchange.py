@@ -2,6 +2,7 @@
 
 import ctypes
 import weakref
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -45,8 +46,9 @@ FLAGS = {
 }
 
 
+@cache
 def prepare() -> None:
-    """Compile the loop, for whatever FMU; twice takes no time."""
+    """Compile the loop, for whatever FMU, once in a process."""
     table, places = np.zeros((0, 5), dtype=np.intp), np.zeros(0, dtype=np.int64)
     references, values = np.zeros(0, dtype=np.uint32), np.zeros(0)
     y = np.zeros((0, 0))

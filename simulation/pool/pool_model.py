@@ -50,8 +50,9 @@ _SLOW_S = 60.0
 _MAX_LOSSES = 5
 # Where a process costs less than this share of a simulation, each simulation gets a new one. [1]
 _SMALL_SHARE = 0.1
-# So much a batch may lose to new processes without a user who waits for it noticing. [s]
-_UNNOTICED_S = 4.0
+# So much a batch may lose to new processes without a user who waits for it noticing: it is what checking
+# whether rows of one process depend on each other takes, too. [s]
+_UNNOTICED_S = 1.0
 # The first opening may have compiled something: it takes two to know what opening costs.
 _N_OPENINGS = 2
 

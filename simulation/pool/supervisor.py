@@ -276,7 +276,7 @@ class _Supervisor:
             if done:
                 tries.clear()
             if end in (End.DONE, End.LEAVES):
-                if end is End.LEAVES or is_alone or self._is_worn_out(worker):
+                if is_alone or end is End.LEAVES or self._is_worn_out(worker):
                     self._end(worker, _CLOSING_S)
                 # One that has answered rows has done its part.
                 if worker.n_rows:
