@@ -96,6 +96,12 @@ def quoted_amount(amount: float) -> str:
     return f"{math.ceil(amount):,}" if amount >= 10 else f"{amount:.2g}"
 
 
+def identity(path: Path) -> tuple[object, ...]:
+    """Return what tells a file from the one that it was before, as far as that shows without reading it."""
+    file = path.stat()
+    return path, file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns
+
+
 def read_limited(path: Path, limit: Limit, *, if_missing: str = "correct the path") -> bytes:
     """Read a regular file that is not too large; what it is, is looked at before it is opened.
 

@@ -15,6 +15,15 @@ UNSEEN_S = 3600.0
 """A folder that is unseen for longer was left by an owner killed while making it, which takes no time. [s]"""
 
 
+_is_own = False
+
+
+def own_temporary_folder() -> None:
+    """Say that the temporary folder of this process goes with it: nothing in it needs a lock or is swept."""
+    global _is_own
+    _is_own = True
+
+
 class ScratchFolder:
     """A temporary folder that a lock marks as in use; folders without their owner are swept on the way.
 
@@ -31,8 +40,11 @@ class ScratchFolder:
         Raises:
             MachineError: If there is no room for it.
         """
-        unseen = None
+        unseen, self._lock = None, None
         try:
+            if _is_own:
+                self.folder = Path(tempfile.mkdtemp(prefix=prefix))
+                return
             sweep(prefix)
             unseen = Path(tempfile.mkdtemp(prefix=f".{prefix}"))
             self._lock = FileLock(unseen / _LOCK)
@@ -48,7 +60,7 @@ class ScratchFolder:
 
     def remove(self) -> None:
         """Remove the folder with all that is in it; removing it twice does no harm."""
-        if self._lock.is_held:
+        if self._lock is not None and self._lock.is_held:
             shutil.rmtree(self.folder, ignore_errors=True)
             self._lock.release()
 

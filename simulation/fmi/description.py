@@ -20,7 +20,7 @@ from simulation.fmi.variable import (
     FmuInterface,
     FmuVariable,
 )
-from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, read_limited
+from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, identity, read_limited
 from simulation.foreign_text import shortened
 from simulation.units import UnitDefinition
 
@@ -180,10 +180,9 @@ def known_description(path: Path) -> FmuDescription:
         InputError: As `read_description`.
     """
     try:
-        file = path.stat()
+        key = identity(path)
     except OSError:
         return read_description(path)
-    key = path, file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns
     if key not in _read:
         _read[key] = read_description(path)
     return _read[key]

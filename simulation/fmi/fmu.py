@@ -16,7 +16,7 @@ from simulation.fmi.instance import FmuInstance
 from simulation.fmi.reset_proof import RestartingRunner
 from simulation.fmi.runner import Solver
 from simulation.fmi.start import RunPlan, Start
-from simulation.fmi.unpack import unpacked
+from simulation.fmi.unpack import keep, unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
@@ -119,6 +119,7 @@ class FmuSettings:
     def prepare(self) -> None:
         """Read and compile what opening the model needs, for forks of this process; the FMU is not loaded."""
         known_description(self.path)
+        keep(self.path)
         if self.interface == "co-simulation":
             cosimulation.prepare()
         else:

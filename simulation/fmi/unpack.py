@@ -2,14 +2,55 @@
 
 import stat
 import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from simulation.errors import InputError, MachineError
 from simulation.fmi.fmpy_description import PLATFORM_FOLDERS
-from simulation.foreign_file import archive_errors
+from simulation.foreign_file import archive_errors, identity
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX = "simulation-fmus-"
+MOST_KEPT_BYTES = 20_000_000
+"""As much of an FMU that process after process unpacks is kept in memory; larger ones are read anew."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A file that running an FMU needs.
+
+    Attributes:
+        place: Where it is unpacked to, relative to the folder; of a folder, its name.
+        content: What it holds; None for a folder.
+        is_program: Whether it may be run.
+    """
+
+    place: str
+    content: bytes | None
+    is_program: bool
+
+
+# By the identity of the FMU's file.
+_kept: dict[tuple[object, ...], tuple[Member, ...]] = {}
+
+
+def keep(path: Path) -> None:
+    """Keep what running an FMU needs in memory, so that forks of this process write it and read nothing.
+
+    Args:
+        path: The FMU.
+
+    Raises:
+        InputError: As `unpacked`.
+    """
+    with archive_errors(path), zipfile.ZipFile(path) as archive:
+        needed = list(_needed(path, archive))
+        if sum(member.file_size for member, _ in needed) <= MOST_KEPT_BYTES:
+            _kept[identity(path)] = tuple(
+                Member(member.filename, None if member.is_dir() else archive.read(member), is_program)
+                for member, is_program in needed
+            )
 
 
 def unpacked(path: Path) -> ScratchFolder:
@@ -31,7 +72,12 @@ def unpacked(path: Path) -> ScratchFolder:
     scratch = ScratchFolder(SCRATCH_PREFIX)
     try:
         with archive_errors(path):
-            _unpack(path, scratch.folder)
+            if (members := _kept.get(identity(path))) is None:
+                _unpack(path, scratch.folder)
+            for member in members or ():
+                _write(member, scratch.folder)
+        # The FMU gets the address of this folder, present or not.
+        (scratch.folder / "resources").mkdir(exist_ok=True)
     # A Ctrl-C, too, must leave no folder.
     except BaseException as error:
         scratch.remove()
@@ -44,31 +90,46 @@ def unpacked(path: Path) -> ScratchFolder:
     return scratch
 
 
+def _needed(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[zipfile.ZipInfo, bool]]:
+    """Return the members that running an FMU needs, and which are programs."""
+    for member in archive.infolist():
+        name = member.filename
+        # Some tools write Windows' separators.
+        parts = PurePosixPath(name.replace("\\", "/")).parts
+        if ".." in parts or name.startswith(("/", "\\")) or (parts and ":" in parts[0]):
+            raise InputError(
+                f"{path}: holds the member {name!r}, which points outside; do not trust this FMU"
+            )
+        needed = parts[:1] in {("modelDescription.xml",), ("resources",)}
+        if not needed and (parts[:1] != ("binaries",) or parts[1:2] not in _PLATFORMS):
+            continue
+        # A zip archive has the Unix mode in the upper half.
+        mode = member.external_attr >> 16
+        if stat.S_ISLNK(mode):
+            raise InputError(
+                f"{path}: holds the member {name!r}, which is a link; pack the file itself into the FMU"
+            )
+        yield member, bool(mode & stat.S_IXUSR)
+
+
 def _unpack(path: Path, folder: Path) -> None:
     with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            name = member.filename
-            # Some tools write Windows' separators.
-            parts = PurePosixPath(name.replace("\\", "/")).parts
-            if ".." in parts or name.startswith(("/", "\\")) or (parts and ":" in parts[0]):
-                raise InputError(
-                    f"{path}: holds the member {name!r}, which points outside; do not trust this FMU"
-                )
-            needed = parts[:1] in {("modelDescription.xml",), ("resources",)}
-            if not needed and (parts[:1] != ("binaries",) or parts[1:2] not in _PLATFORMS):
-                continue
-            # A zip archive has the Unix mode in the upper half.
-            mode = member.external_attr >> 16
-            if stat.S_ISLNK(mode):
-                raise InputError(
-                    f"{path}: holds the member {name!r}, which is a link; pack the file itself into the FMU"
-                )
+        for member, is_program in _needed(path, archive):
             target = Path(archive.extract(member, folder))
             # zipfile forgets that a resource is a program.
-            if mode & stat.S_IXUSR and target.is_file():
+            if is_program and target.is_file():
                 target.chmod(0o700)
-    # The FMU gets the address of this folder, present or not.
-    (folder / "resources").mkdir(exist_ok=True)
+
+
+def _write(member: Member, folder: Path) -> None:
+    target = folder / member.place
+    if member.content is None:
+        target.mkdir(parents=True, exist_ok=True)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(member.content)
+    if member.is_program:
+        target.chmod(0o700)
 
 
 _PLATFORMS = {(name,) for name in PLATFORM_FOLDERS.values()}

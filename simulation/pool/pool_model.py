@@ -53,6 +53,8 @@ _SMALL_SHARE = 0.1
 # So much a batch may lose to new processes without a user who waits for it noticing: it is what checking
 # whether rows of one process depend on each other takes, too. [s]
 _UNNOTICED_S = 1.0
+# And so much a model in all, as one of a search by the thousand: some hundred rows of a quick FMU. [s]
+_UNNOTICED_IN_ALL_S = 10.0
 # The first opening may have compiled something: it takes two to know what opening costs.
 _N_OPENINGS = 2
 
@@ -128,7 +130,7 @@ class PoolModel:
             digest = send_file(file) if send_file is not None and isinstance(file, Path) else ""
             self._remote = RemoteModel(packed(make_model), digest, self._policy)
         self.always_new = False
-        self._opening_s, self._n_openings = inf, 0
+        self._opening_s, self._n_openings, self._opened_s = inf, 0, 0.0
         self._row_s: float | None = None
         self._slowest_s: float | None = None
         self._n_answers = 0
@@ -243,7 +245,8 @@ class PoolModel:
 
     def _chosen(self, n: int) -> NewProcess:
         """Return which of n rows begin in a new process."""
-        allowed_s = max(_UNNOTICED_S / n, _SMALL_SHARE * (self._row_s or 0.0))
+        unnoticed_s = _UNNOTICED_S / n if self._opened_s < _UNNOTICED_IN_ALL_S else 0.0
+        allowed_s = max(unnoticed_s, _SMALL_SHARE * (self._row_s or 0.0))
         is_known = self._n_openings >= _N_OPENINGS or self._opening_s > _SURELY_SLOW_S
         if self.always_new or not is_known or self._opening_s <= allowed_s:
             return NewProcess.EACH_ROW
@@ -372,7 +375,9 @@ class _Batch:
         done = rows[: len(answer.failures)]
         self.queue.put(rows[len(done) :])
         model._opening_s = min(model._opening_s, answer.opening_s)
-        model._n_openings += int(answer.is_first.sum())
+        n_openings = int(answer.is_first.sum())
+        model._n_openings += n_openings
+        model._opened_s += n_openings * model._opening_s if n_openings else 0.0
         if answer.row_s is not None:
             model._n_answers += 1
             model._slowest_s = max(model._slowest_s or 0.0, answer.row_s)

@@ -31,6 +31,7 @@ from simulation.foreign_code import opening_limited
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.pool.family import end_with_parent
+from simulation.scratch import own_temporary_folder
 
 Factory = Callable[[], ForwardModel]
 
@@ -209,6 +210,7 @@ def work(
     os.dup2(log, 1)
     os.dup2(log, 2)
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+    own_temporary_folder()
     # When memory ends, the system shall stop this process and not the one that keeps the results.
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500")
