@@ -97,7 +97,7 @@ def quoted_amount(amount: float) -> str:
 
 
 def identity(path: Path) -> tuple[object, ...]:
-    """Return what tells a file from the one that it was before, as far as that shows without reading it."""
+    """Return what changes with a file, as far as that shows without reading it."""
     file = path.stat()
     return path, file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns
 

@@ -365,8 +365,8 @@ class _Batch:
             # Perhaps there are no more licences.
             if self._max_running is None:
                 model._on_warning(
-                    f"only {n_open} of {model.n_workers} processes can open the model at once, which go on: "
-                    f"{refused}"
+                    f"only {n_open} of {model.n_workers} processes go on, as no more can open the model "
+                    f"at once: {refused}"
                 )
             self._max_running = n_open
             self.queue.put(rows)

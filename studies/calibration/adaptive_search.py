@@ -87,7 +87,7 @@ class AdaptiveSearch:
         self._parts = Part.parts_of(problem)
         self._recorder = recorder
         if learned_ode is not None:
-            learned_ode.tell(recorder.think_of)
+            learned_ode.report_to(recorder.think_of)
         self._rng = rng
         self._u = self._unasked = np.empty((0, p))
         self._objective = np.empty(0)
@@ -268,7 +268,7 @@ class AdaptiveSearch:
         best = int(np.argmin(self._objective))
         here, before, outlying = self._u[best], float(self._objective[best]), self._outlying(best)
         rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
-        self._recorder.think_of("functions that may be lower elsewhere")
+        self._recorder.think_of("functions that may be lower at other points")
         process, n_before = self._fit(), self._objective.size
         self._weigh_failures(before)
         places, gains = least_unlikely(
@@ -718,7 +718,7 @@ class AdaptiveSearch:
     def _fit(self) -> ProcessGroups:
         good, fitted = self._is_sane, list[ProcessGroups]()
         output_of = self._window.seen_of
-        # Beside many known rows the first new ones count as much as in a search without them.
+        # Beside many known rows new ones count as if they were alone, as in a search without known ones.
         n_new = int(good[self._n_known :].sum())
         refits = is_refitted(n_new, self._n_fitted)
         if refits:

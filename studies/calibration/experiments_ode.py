@@ -248,11 +248,11 @@ class ExperimentsODE(LearnedODE):
         part.note(answer)
         return part.is_sure
 
-    def tell(self, think_of: Callable[[str], None]) -> None:
+    def report_to(self, think_of: Callable[[str], None]) -> None:
         """Call this from now on with what is looked at in any experiment."""
-        super().tell(think_of)
+        super().report_to(think_of)
         for part in self._parts:
-            part.tell(think_of)
+            part.report_to(think_of)
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked, each experiment from its part."""

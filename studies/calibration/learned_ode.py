@@ -276,7 +276,7 @@ class LearnedODE:
         """Return which points (n, p) it has learnt from. Shape (n,)."""
         return np.asarray((self._u == u[:, None]).all(axis=2).any(axis=1))
 
-    def tell(self, think_of: Callable[[str], None]) -> None:
+    def report_to(self, think_of: Callable[[str], None]) -> None:
         """Call this from now on with what is looked at, as that may take seconds."""
         self._think_of = think_of
 

@@ -28,7 +28,7 @@ NEEDLESS = 1e-10
 MOST_TERMS = 16
 # So many candidates, at twice as many times, are looked at all at once.
 MOST_AT_ONCE = 200
-# What is left of a column's square, of size 1, below which subtracted squares no longer tell it.
+# What is left of a column's square, of size 1, below which subtracted squares are rounding.
 # Half of a number's 16 digits, less those that sixteen differences cost.
 CANCELLED = 1e-6
 # What is left of a column of size 1 beside others, at least.

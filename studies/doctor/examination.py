@@ -252,8 +252,12 @@ class _Examination:
         if not n or not self.budget.rows(what, n, n, at_once=False):
             return []
 
+        # Hundreds of rows, and it is known whether one changes the next.
+        is_forgotten = not never_reused_file(self._study.paths, self._case).is_file()
+        new_process = NewProcess.WHEN_NEEDED if is_forgotten else None
+
         def simulate(theta: FloatArray) -> Trajectories:
-            return timed.ask(theta, what).whole(theta)
+            return timed.ask(theta, what, new_process).whole(theta)
 
         return list(look_at_means(self._case, simulate, timed.known))
 

@@ -276,7 +276,12 @@ class Stage(Generic[T]):
         check_written(self.file)
         if again:
             self.file.unlink(missing_ok=True)
-        manifest, root = read_json(self.file) or {}, self.study.paths.root
+        root = self.study.paths.root
+        try:
+            manifest = read_json(self.file) or {}
+        except InputError as damaged:
+            self.study.console.warn(f"{damaged}; {self.name} is done again")
+            return None
         if manifest.get("digest") != self.digest:
             return None
         left = {root / name: size for name, size in manifest.get("files", {}).items()}

@@ -99,7 +99,7 @@ def test_who_wants_them_is_learnt_why_there_are_none(
     monkeypatch.setattr("studies.calibration.states.MOST_STATES", 2)
     answer = studies(*WALL, "--state-equations")
     assert answer.code == 2
-    (line,) = answer.err.splitlines()
+    *_, line = answer.err.splitlines()
     assert line.endswith("Wall.fmu: has 3 states, and at most 2 are watched; leave --state-equations away")
     assert studies(*WALL, "--max-calls", "8").code == 0
     assert "state_equations" not in stored_result(project)

@@ -12,7 +12,7 @@ from pathlib import Path
 import optuna
 import pytest
 from optuna.trial import TrialState
-from project_for_tests import REPOSITORY, Run, add_case, edit, process_environment
+from project_for_tests import REPOSITORY, Run, add_case, process_environment
 from studies_for_tests import (
     SPACE,
     WALL_S,
@@ -24,6 +24,7 @@ from studies_for_tests import (
 
 from studies.calibration.ledger import Ledger
 from studies.provenance import file_digest
+from studies.stages.saved import read_json, write_json
 
 OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 
@@ -174,7 +175,10 @@ def test_best_shows_results_of_unchanged_files_first_whatever_a_clock_says(
     write_calibration(project, "wall-quick-0-9", "adaptive", case=case, mse=0.01, finished="2031-01-01")
     manifest = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
     place, sha256 = "fmus/wall/case.toml", file_digest(case)
-    edit(manifest, (f'"{place}": "{"1" * 64}"', f'"{place}": "{sha256}"'))
+    record = read_json(manifest)
+    assert record is not None
+    record["provenance"]["files"][place] = sha256
+    write_json(manifest, record)
     # A case whose result was made last, of a file that was changed since.
     file = REPOSITORY / "fmus" / "vanderpol" / "case.toml"
     write_calibration(project, "vanderpol-quick", "adaptive", case=file, mse=0.1, finished="2032-01-01")

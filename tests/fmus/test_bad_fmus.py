@@ -25,6 +25,7 @@ from simulation.fmi.fmu import FmuSettings
 from simulation.layout import Experiment, Layout
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.fork_server import end_fork_servers
+from simulation.pool.worker_process import NewProcess
 from simulation.scenario import Scenario
 
 N = 300
@@ -174,7 +175,7 @@ def daemons():
 def test_a_daemon_that_an_fmu_starts_ends_with_its_process(end, bad_fmu, trace):
     fmu, before = bad_fmu("DAEMON"), daemons()
     with PoolModel(settings_of(fmu).open, 1) as model:
-        assert not model.simulate(make_theta(6, [])).failed.any()
+        assert not model.simulate(make_theta(6, []), NewProcess.WHEN_NEEDED).failed.any()
         loaded = [one for one in psutil.Process().children(recursive=True) if has_loaded(one)]
         (worker,) = [one for one in loaded if one.parent() not in loaded]  # not a daemon of it
         assert len(daemons()) > len(before), "each instance starts one"

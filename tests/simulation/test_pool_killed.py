@@ -17,6 +17,7 @@ from toy_rc import ToyRC
 
 from simulation.pool.supervisor import SCRATCH_PREFIX
 from simulation.scratch import sweep
+from simulation.store.reuse_check import N_FIRST
 from simulation.store.store import SimulationStore
 
 HERE = Path(__file__).parent
@@ -139,9 +140,10 @@ def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
         _, *stored = start.read_text().split()
         if reported.exists():
             assert len(stored) >= int(reported.read_text() or 0)
-    # ... and what is there at a start is never begun again; no more than the rows in hand are.
+    # ... and what is there at a start is never begun again, but for some that are repeated, as rows share
+    # processes; no more than the rows in hand are.
     for start in starts:
         n_bytes, *stored = start.read_text().split()
-        assert not set(begun[int(n_bytes) :].decode().split()) & set(stored)
-    n_begun = len(begun.split())
-    assert len(rows) <= n_begun <= len(rows) + n_kills * N_WORKERS * N_CHUNK
+        assert len(set(begun[int(n_bytes) :].decode().split()) & set(stored)) <= N_FIRST
+    n_begun, n_repeated = len(begun.split()), len(starts) * N_FIRST
+    assert len(rows) <= n_begun <= len(rows) + n_kills * N_WORKERS * N_CHUNK + n_repeated

@@ -43,7 +43,7 @@ def written(folder: Path, stamp: str, output: str = "", **more: float) -> Path:
 def found(file: Path) -> list[Finding]:
     case = load_case(file)
     with case.open_model() as model:
-        return list(look_at_means(case, model, model.simulate(coverage_points(case))))
+        return list(look_at_means(case, model.simulate, model.simulate(coverage_points(case))))
 
 
 @pytest.mark.parametrize("stamp", OFFSETS)
