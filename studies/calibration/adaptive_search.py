@@ -718,7 +718,7 @@ class AdaptiveSearch:
     def _fit(self) -> ProcessGroups:
         good, fitted = self._is_sane, list[ProcessGroups]()
         output_of = self._window.seen_of
-        # Beside many known rows new ones count as if they were alone, as in a search without known ones.
+        # Rows of a warm start do not count: new ones matter as much as without them.
         n_new = int(good[self._n_known :].sum())
         refits = is_refitted(n_new, self._n_fitted)
         if refits:
