@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT))
 # Behind it: `tests` has a folder `simulation`, too.
 sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "simulation")]
 
-from forgetful_fmu import FAULTS, forgetful_settings  # noqa: E402
+from forgetful_fmu import FAULTS, forgetful_settings, store_of  # noqa: E402
 
 from simulation import PoolModel, uniform_design  # noqa: E402
 from simulation.errors import ReuseError  # noqa: E402
@@ -28,17 +28,6 @@ from simulation.store.store import SimulationStore  # noqa: E402
 from simulation.store.stored_model import StoredModel  # noqa: E402
 
 N_JUDGED = 60  # rows of their own process that are compared, too
-
-
-def store_of(settings: FmuSettings, file: Path) -> SimulationStore:
-    """Open a store of an FMU."""
-    return SimulationStore(
-        file,
-        model_digest="forgetful",
-        parameter_names=settings.parameter_space.names,
-        output_names=settings.output_names,
-        time=settings.scenario.time,
-    )
 
 
 def n_wrong(settings: FmuSettings, store: SimulationStore) -> int:

@@ -9,6 +9,7 @@ from c_fmu_for_tests import write_fmu
 from simulation import Parameter, ParameterSpace
 from simulation.fmi.fmu import FmuSettings
 from simulation.scenario import Scenario
+from simulation.store.store import SimulationStore
 
 SOURCE = Path(__file__).with_name("forgetful.c")
 FAULTS = tuple(re.findall(r"^#define ([A-Z_]+) \d+", SOURCE.read_text(), flags=re.MULTILINE)[1:])
@@ -41,3 +42,14 @@ def forgetful_settings(folder: Path, fault: str = "NONE") -> FmuSettings:
     edges = 600.0 * np.arange(73)
     scenario = Scenario(edges, 280.0 + 8.0 * np.sin(edges[:-1, None] / 7e3), ("u",), 1)
     return FmuSettings(path, space, scenario, ("y", "z"), np.zeros(2))
+
+
+def store_of(settings: FmuSettings, file: Path) -> SimulationStore:
+    """Open a store of such an FMU."""
+    return SimulationStore(
+        file,
+        model_digest="forgetful",
+        parameter_names=settings.parameter_space.names,
+        output_names=settings.output_names,
+        time=settings.scenario.time,
+    )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forgetful_fmu import FAULTS, forgetful_settings
+from forgetful_fmu import FAULTS, forgetful_settings, store_of
 
 from simulation import PoolModel, uniform_design
 from simulation.arrays import FloatArray
@@ -13,21 +13,10 @@ from simulation.errors import ReuseError
 from simulation.fmi.fmu import FmuSettings
 from simulation.pool.worker_process import NewProcess
 from simulation.store.reuse_check import N_FIRST
-from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 
 N, N_KEPT = 160, 12
-
-
-def store_of(settings: FmuSettings, file: Path) -> SimulationStore:
-    return SimulationStore(
-        file,
-        model_digest="forgetful",
-        parameter_names=settings.parameter_space.names,
-        output_names=settings.output_names,
-        time=settings.scenario.time,
-    )
 
 
 def design(settings: FmuSettings, n: int, seed: int) -> FloatArray:
