@@ -11,14 +11,14 @@ from simulation.pool.worker_process import NewProcess
 from simulation.trajectories import Trajectories
 
 # The first check comes after so many simulations, the next one where there are four times as many, and one
-# more at the end of each batch: what an FMU accumulates shows late.
+# more at the end of each batch: what an FMU accumulates, or one of two processes does, shows late.
 FIRST_CHECK, NEXT_CHECK = 80, 4
-# So many quick simulations are repeated at first, each in a process of its own: a switch that is left as it
-# was changes one simulation in four, which these miss once in a thousand times.
-N_FIRST = 24
-# Later on, and of slower simulations, one in SHARE is repeated, at most MOST_REPEATED at a time. Together in
-# one new process and in another order they follow other simulations than before, and cost one process.
-SHARE, MOST_REPEATED = 20, 32
+# A check repeats so many quick simulations, each in a process of its own, chosen from those since the check
+# before. A switch that is left as it was in one of two processes changes one simulation in five: two checks
+# miss it once in a hundred times. Repeated in one process they might change in the same way again.
+N_REPEATED = 10
+# Of slower simulations, or where a process opens slowly, one in SHARE is repeated, all in one process.
+SHARE = 20
 # What is as short is quick, process or simulation; a process that opens more slowly may cost this share of
 # the time of what it is to check. [s], [1]
 QUICK_S, TIME_SHARE = 0.3, 0.1
@@ -77,20 +77,18 @@ class ReuseCheck:
         return self._n_unchecked >= SHARE and not is_dear and not self.is_random
 
     def chosen(self, n_stored: int) -> IntArray:
-        """Choose simulations to repeat, half of them among the latest.
+        """Choose simulations to repeat from those since the last check.
 
         Args:
-            n_stored: Reused simulations in the store, from which to choose.
+            n_stored: Reused simulations in the store, of which they are the last ones.
 
         Returns:
             Their positions in the order of storing, in the order of repeating. Shape (m,).
         """
-        allowed = max(N_FIRST if self._is_quick else 1, self._n_reused // SHARE)
-        n = max(0, min(allowed - self.n_repeated, MOST_REPEATED, n_stored))
+        n_new = min(self._n_unchecked, n_stored)
+        n = min(N_REPEATED if self._is_quick else max(1, n_new // SHARE), n_new)
         generator = np.random.default_rng([n_stored, self._n_reused])
-        latest = np.arange(n_stored - (n + 1) // 2, n_stored)
-        others = generator.choice(n_stored - len(latest), n - len(latest), replace=False)
-        return generator.permutation(np.concatenate([others, latest]))
+        return np.asarray(n_stored - n_new + generator.choice(n_new, n, replace=False), dtype=np.int64)
 
     def checked(self) -> None:
         """Take note that what was reused so far is checked."""
@@ -99,7 +97,7 @@ class ReuseCheck:
             self._next *= NEXT_CHECK
 
     def is_repeated(self, repeat: Repeat, stored: Trajectories, *, is_first: bool = False) -> bool:
-        """Repeat simulations in new processes: in one, one after the other, or quick ones at first in many.
+        """Repeat simulations in new processes: quick ones in one each, others in one, one after the other.
 
         Args:
             repeat: Simulates them anew.
@@ -111,9 +109,8 @@ class ReuseCheck:
             what.
         """
         asked = stored.theta
-        is_first_check = self.n_repeated == 0 and self._is_quick
         self.n_repeated += len(asked)
-        how = NewProcess.EACH_ROW if is_first_check else NewProcess.AT_FIRST
+        how = NewProcess.EACH_ROW if self._is_quick else NewProcess.AT_FIRST
         differs = _differ(repeat(asked, how), stored)
         if not differs.any():
             return True

@@ -67,8 +67,9 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--seeds", type=int, default=10)
     options.add_argument("--rows", type=int, default=640)
+    options.add_argument("--faults", nargs="+", choices=("NONE", *FAULTS), metavar="FAULT")
     chosen = options.parse_args()
-    for fault in ("NONE", *FAULTS):
+    for fault in chosen.faults or ("NONE", *FAULTS):
         totals = {"design": [0, 0, 0], "search": [0, 0, 0]}
         for seed in range(chosen.seeds):
             with tempfile.TemporaryDirectory() as folder:

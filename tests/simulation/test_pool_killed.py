@@ -17,7 +17,7 @@ from toy_rc import ToyRC
 
 from simulation.pool.supervisor import SCRATCH_PREFIX
 from simulation.scratch import sweep
-from simulation.store.reuse_check import N_FIRST
+from simulation.store.reuse_check import N_REPEATED
 from simulation.store.store import SimulationStore
 
 HERE = Path(__file__).parent
@@ -144,6 +144,6 @@ def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
     # processes; no more than the rows in hand are.
     for start in starts:
         n_bytes, *stored = start.read_text().split()
-        assert len(set(begun[int(n_bytes) :].decode().split()) & set(stored)) <= N_FIRST
-    n_begun, n_repeated = len(begun.split()), len(starts) * N_FIRST
+        assert len(set(begun[int(n_bytes) :].decode().split()) & set(stored)) <= 3 * N_REPEATED
+    n_begun, n_repeated = len(begun.split()), len(starts) * 3 * N_REPEATED
     assert len(rows) <= n_begun <= len(rows) + n_kills * N_WORKERS * N_CHUNK + n_repeated
