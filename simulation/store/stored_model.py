@@ -9,7 +9,7 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import ReuseError
 from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.pool.pool_model import Finished, PoolModel
+from simulation.pool.pool_model import PoolModel
 from simulation.pool.worker_process import NewProcess
 from simulation.store.reuse_check import ReuseCheck
 from simulation.store.store import SimulationStore
@@ -149,11 +149,6 @@ class StoredModel(WrappedModel):
         for start in range(0, len(theta), BLOCK_ROWS):
             chunk = self._model.simulate(theta[start : start + BLOCK_ROWS])
             yield chunk, np.ones(chunk.n, dtype=np.bool_)
-
-    def anew(self, theta: FloatArray) -> Generator[Finished]:
-        """Simulate rows that may be stored, and store nothing, see `PoolModel.as_finished`."""
-        assert self._pool is not None, "a model with processes"
-        return self._pool.as_finished(theta)
 
     def _anew(self, theta: FloatArray, new_process: NewProcess) -> Trajectories:
         assert self._pool is not None, "rows are reused by pools alone"
