@@ -10,21 +10,14 @@ from simulation.trajectories import Trajectories
 
 
 @dataclass(frozen=True, eq=False)
-class CircumstanceModel:
-    """One parameter row asked in different circumstances, whose number is the only parameter.
+class _InCircumstances:
+    """What models have in common that simulate an FMU in different circumstances.
 
     Attributes:
         settings: The circumstances; all with the same outputs and output times.
-        row: Parameters of the FMU. Shape (p,). [per parameter]
     """
 
     settings: tuple[FmuSettings, ...]
-    row: FloatArray
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The number of the circumstance."""
-        return ParameterSpace((Parameter("circumstance", -1.0, float(len(self.settings))),))
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -39,6 +32,23 @@ class CircumstanceModel:
     def open(self) -> Self:
         """Return the model: the factory that worker processes are given."""
         return self
+
+
+@dataclass(frozen=True, eq=False)
+class CircumstanceModel(_InCircumstances):
+    """One parameter row asked in different circumstances, whose number is the only parameter.
+
+    Attributes:
+        settings: The circumstances; all with the same outputs and output times.
+        row: Parameters of the FMU. Shape (p,). [per parameter]
+    """
+
+    row: FloatArray
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The number of the circumstance."""
+        return ParameterSpace((Parameter("circumstance", -1.0, float(len(self.settings))),))
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate the row in each circumstance asked for, on an FMU opened for it.
@@ -58,7 +68,7 @@ class CircumstanceModel:
 
 
 @dataclass(frozen=True, eq=False)
-class RowsInCircumstances:
+class RowsInCircumstances(_InCircumstances):
     """Some parameter rows asked in different circumstances; numbers of both are the parameters.
 
     Attributes:
@@ -66,7 +76,6 @@ class RowsInCircumstances:
         rows: Parameters of the FMU. Shape (m, p). [per parameter]
     """
 
-    settings: tuple[FmuSettings, ...]
     rows: FloatArray
 
     @property
@@ -74,20 +83,6 @@ class RowsInCircumstances:
         """The numbers of the circumstance and of the row."""
         sizes = {"circumstance": len(self.settings), "row": len(self.rows)}
         return ParameterSpace(tuple(Parameter(name, -1.0, float(n)) for name, n in sizes.items()))
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The outputs."""
-        return self.settings[0].output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """Output times. Shape (t,). [s]."""
-        return self.settings[0].scenario.time
-
-    def open(self) -> Self:
-        """Return the model: the factory that worker processes are given."""
-        return self
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate each row in its circumstance, on an FMU opened for it.

@@ -264,9 +264,7 @@ class StoredExperiments(StoredModel):
                     self._joined_store.stores[place].append(part, is_first[answered == place])
                 n_stored += chunk.n
                 on_progress(n_stored // len(lacking))
-                self.reuse.count(int((~is_first).sum()))
-                if self.reuse.is_due:
-                    self._check_reuse()
+                self._count_reused(is_first)
         if self.reuse.is_open:
             self._check_reuse()
 

@@ -133,9 +133,7 @@ class StoredModel(WrappedModel):
                 self.n_simulated += chunk.n
                 n_stored += chunk.n
                 on_progress(n_stored)
-                self.reuse.count(int((~is_first).sum()))
-                if self.reuse.is_due:
-                    self._check_reuse()
+                self._count_reused(is_first)
         if self.reuse.is_open:
             self._check_reuse()
 
@@ -153,6 +151,12 @@ class StoredModel(WrappedModel):
     def _anew(self, theta: FloatArray, new_process: NewProcess) -> Trajectories:
         assert self._pool is not None, "rows are reused by pools alone"
         return self._pool.simulate(theta, new_process)
+
+    def _count_reused(self, is_first: BoolArray) -> None:
+        """Take note of rows that were stored, and repeat some where that is due."""
+        self.reuse.count(int((~is_first).sum()))
+        if self.reuse.is_due:
+            self._check_reuse()
 
     def _check_reuse(self) -> None:
         reused = self.store.theta_reused
