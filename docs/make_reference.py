@@ -24,7 +24,7 @@ from simulation import case_file  # noqa: E402
 from studies import profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
-from studies.stages import stage_results  # noqa: E402
+from studies.results import stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}

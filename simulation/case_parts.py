@@ -17,10 +17,10 @@ from simulation.case_file import (
 )
 from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
+from simulation.fmi.ties import Tie, tie
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_text import quoted, shortened
 from simulation.scenario import values_at_edges, values_over_steps
-from simulation.ties import Tie, tie
 from simulation.units import Conversion, conversion
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from studies.api import load_case as load_case
     from studies.api import run as run
     from studies.api import tune as tune
-    from studies.stages.pipeline import StageError as StageError
+    from studies.task import StageError as StageError
 
 _MODULES = {
     "CalibrationResult": "studies.api",
     "Case": "simulation.case",
     "InputError": "simulation.errors",
-    "StageError": "studies.stages.pipeline",
+    "StageError": "studies.task",
     "calibrate": "studies.api",
     "load_case": "studies.api",
     "run": "studies.api",

@@ -18,11 +18,12 @@ from simulation.case import Case
 from simulation.case import load_case as load_case_file
 from simulation.time_unit import unit_for
 from studies.cli import build_parser, check_surroundings, command_module
-from studies.console import Console
 from studies.paths import find_case, find_project
-from studies.report.wording import axis_label, quantity, square_of
-from studies.stages.pipeline import Outcome, StageError, Study
-from studies.stages.stage_results import Calibration
+from studies.results.outcome import Outcome
+from studies.results.stage_results import Calibration
+from studies.task import StageError, Task
+from studies.words.console import Console
+from studies.words.wording import axis_label, quantity, square_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,7 +158,7 @@ def load_case(case: str | Path = "office") -> Case:
     return load_case_file(find_case(find_project(None), str(case)))
 
 
-def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[Study, list[Outcome[Any]]]:
+def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[Task, list[Outcome[Any]]]:
     """Do a command in this process and return its study and what its stages came to."""
     words = [command, str(case), *_words(command, options)]
     chosen = build_parser().parse_args(words)
@@ -165,10 +166,10 @@ def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[S
     console = _Listener(quiet=chosen.quiet)
     check_surroundings()
     code = command_module(command).run(chosen, console)
-    ((study, outcomes),) = console.done
+    ((task, outcomes),) = console.done
     if code:
-        raise StageError(f"{study.label}: studies check {case} found errors; type it, it says which")
-    return study, outcomes
+        raise StageError(f"{task.label}: studies check {case} found errors; type it, it says which")
+    return task, outcomes
 
 
 def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
@@ -188,11 +189,11 @@ def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
             yield f"--{option}={value}"
 
 
-def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResult:
+def _best_of(task: Task, outcomes: Sequence[Outcome[Any]]) -> CalibrationResult:
     """Return the calibration of least error among those that a command left."""
     calibrations = [one for one in outcomes if isinstance(one.result, Calibration)]
     outcome: Outcome[Calibration] = min(calibrations, key=lambda one: one.result.mse)
-    case, found, series = study.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
+    case, found, series = task.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
     at, judged, space = case.measurement.time, found.determined_by_data, case.parameter_space
     every = np.unique(np.concatenate([at, *(one.samples.time for one in case.outputs)]))
     for k, one in enumerate(case.outputs):
@@ -209,7 +210,7 @@ def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResul
         }
     )
     return CalibrationResult(
-        name=f"{study.label}/{outcome.name}",
+        name=f"{task.label}/{outcome.name}",
         theta=theta.rename_axis("parameter"),
         mse=found.mse,
         error_name=found.error_name,
@@ -218,7 +219,7 @@ def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResul
         units={output.name: output.unit for output in case.outputs},
         reason=found.stop_reason,
         note=case.note,
-        numbers=outcome.to_dict(study.paths),
+        numbers=outcome.to_dict(task.paths),
     )
 
 

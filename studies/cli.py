@@ -26,7 +26,7 @@ from simulation.errors import InputError, MachineError, ReuseError
 from simulation.foreign_text import escaped, shortened
 from simulation.pool.safe_start import start_safely
 from studies.commands import options
-from studies.console import Console
+from studies.words.console import Console
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
@@ -131,7 +131,7 @@ def _report(console: Console, error: BaseException) -> int:
         # The reader of the output closed it: nothing has failed, and nothing can be reported.
         sys.stdout = None
         return UNHEARD
-    from studies.stages.pipeline import StageError
+    from studies.task import StageError
 
     explained = explain(error)
     if explained is None and not isinstance(error, StageError | MachineError):

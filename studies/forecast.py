@@ -2,24 +2,24 @@
 
 from dataclasses import replace
 
-from studies.console import Column, format_seconds
 from studies.physical_model import store_file
-from studies.report.wording import MISSING
-from studies.stages.pipeline import Study
 from studies.stages.simulate_stage import missing_rows
 from studies.stages.tuned_trials import tuned_by_size
+from studies.task import Task
+from studies.words.console import Column, format_seconds
+from studies.words.wording import MISSING
 
 
-def foretell(study: Study, command: str) -> None:
+def foretell(task: Task, command: str) -> None:
     """Show what is left to do, as a table or as JSON values; writes nothing.
 
     Args:
-        study: the study.
+        task: the task.
         command: "run", which does all stages, or "tune", which simulates and tunes alone.
     """
-    data, tuning = study.profile.data, study.profile.tuning
-    n_missing, n_all = missing_rows(study)
-    known = tuned_by_size(study)
+    data, tuning = task.profile.data, task.profile.tuning
+    n_missing, n_all = missing_rows(task)
+    known = tuned_by_size(task)
     rows: list[list[object]] = [["simulations", f"{n_missing} of {n_all}", MISSING]]
     sizes = []
     for n_train in data.n_train:
@@ -30,13 +30,13 @@ def foretell(study: Study, command: str) -> None:
         rows.append([f"trials, n_train {n_train}", f"{n_left} of {tuning.n_trials}", time])
         sizes.append({"n_train": n_train, "n_left": n_left, "training_s": left_s})
     if command == "run":
-        n_base = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
-        n_polish = study.profile.polish.max_calls * len(sizes)
+        n_base = task.profile.sensitivity.n_base * (task.case.parameter_space.n_parameters + 2)
+        n_polish = task.profile.polish.max_calls * len(sizes)
         rows.append(["simulations for Sobol indices, at most", n_base, MISSING])
         rows.append(["simulations for polishing, at most", n_polish, MISSING])
     columns = [Column("what"), Column("to do", True), Column("training time on one core", True)]
-    title = f"{study.label}: what would be done (times from the mean of earlier trials; nothing is written)"
-    store = study.paths.show(store_file(study.paths, study.case))
-    study.console.table(title, columns, rows)
+    title = f"{task.label}: what would be done (times from the mean of earlier trials; nothing is written)"
+    store = task.paths.show(store_file(task.paths, task.case))
+    task.console.table(title, columns, rows)
     left = {"n_simulations": n_missing, "sizes": sizes, "store": store}
-    study.console.document({"command": command, "label": study.label, "dry_run": True, **left})
+    task.console.document({"command": command, "label": task.label, "dry_run": True, **left})

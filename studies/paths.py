@@ -12,9 +12,9 @@ from simulation.file_lock import FileLock
 from simulation.foreign_text import has_control, quoted, shortened
 from simulation.whole_file import whole_file
 from simulation.write_gate import check_database, guard_project
-from studies.console import Console
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
+from studies.words.console import Console
 
 MARKER = "studies.toml"
 ROOT_VARIABLE = "STUDIES_ROOT"

@@ -20,10 +20,16 @@ from simulation.store.joined_store import JoinedStore, StoredExperiments
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from studies.calibration.experiments_ode import watched_model
-from studies.calibration.states import StateSignals, WatchedModel, watching_states, why_unwatched
+from studies.calibration.state_equations.experiments_ode import watched_model
+from studies.calibration.state_equations.states import (
+    StateSignals,
+    WatchedModel,
+    watching_states,
+    why_unwatched,
+)
 from studies.paths import ProjectPaths
-from studies.stages.pipeline import StageError, Study, read_json
+from studies.results.saved import read_json
+from studies.task import StageError, Task
 
 
 def store_file(paths: ProjectPaths, case: Case) -> Path:
@@ -34,12 +40,12 @@ def store_file(paths: ProjectPaths, case: Case) -> Path:
 
 @contextmanager
 def open_physical_model(
-    study: Study, *, case: Case | None = None, policy: ExecutionPolicy | None = None
+    task: Task, *, case: Case | None = None, policy: ExecutionPolicy | None = None
 ) -> Iterator[StoredModel]:
     """Open the model of a study's case with the store of its simulations.
 
     Args:
-        study: the study.
+        task: the task.
         case: another case instead of the study's.
         policy: another patience instead of the case's.
 
@@ -51,41 +57,41 @@ def open_physical_model(
         ReuseError: simulations of one process depended on each other; those that may be wrong are removed,
             with the results that came from them.
     """
-    case = case or study.case
+    case = case or task.case
     with ExitStack() as opened:
         stores = list[SimulationStore]()
         for one in case.experiments or (case,):
             part = SimulationStore(
-                store_file(study.paths, one),
+                store_file(task.paths, one),
                 model_digest=one.model_digest,
                 parameter_names=one.parameter_space.names,
                 output_names=one.settings.output_names,
                 time=one.scenario.time,
             )
             stores.append(opened.enter_context(part))
-            if never_reused_file(study.paths, one).is_file() and not part.is_reuse_given_up:
+            if never_reused_file(task.paths, one).is_file() and not part.is_reuse_given_up:
                 part.give_up_reuse()
-        n_jobs, executor = study.n_jobs, None
-        if study.dask is not None:
+        n_jobs, executor = task.n_jobs, None
+        if task.dask is not None:
             # Dask takes a second to import.
             from simulation.pool.dask_executor import DaskExecutor
 
-            n_jobs, executor = None, opened.enter_context(DaskExecutor(study.dask))
-        policy, warn = policy or case.policy, study.console.warn
+            n_jobs, executor = None, opened.enter_context(DaskExecutor(task.dask))
+        policy, warn = policy or case.policy, task.console.warn
         pool = PoolModel(case.make_model, n_jobs, policy=policy, executor=executor, on_warning=warn)
         model = opened.enter_context(pool)
-        stored = StoredModel(model, stores[0], retry_failed=study.retry_failed)
+        stored = StoredModel(model, stores[0], retry_failed=task.retry_failed)
         if case.layout is not None:
-            store = JoinedStore(store_file(study.paths, case), stores, case.layout)
+            store = JoinedStore(store_file(task.paths, case), stores, case.layout)
             store.save()
             joined = JoinedModel(model, case.experiment_rows, case.parameter_space)
-            stored = StoredExperiments(joined, store, retry_failed=study.retry_failed)
+            stored = StoredExperiments(joined, store, retry_failed=task.retry_failed)
         try:
             yield stored
         except TooManyFailuresError as stopped:
             raise StageError(f"{stopped}; the finished simulations are kept") from stopped
         except ReuseError:
-            give_up_reuse(study)
+            give_up_reuse(task)
             raise
 
 
@@ -95,37 +101,37 @@ def never_reused_file(paths: ProjectPaths, case: Case) -> Path:
     return simulations / f"{case.fmu.sha256[:16]}.own-process"
 
 
-def give_up_reuse(study: Study) -> None:
+def give_up_reuse(task: Task) -> None:
     """Remember that a case's FMU does not forget a simulation, and remove what may be wrong by that.
 
     Removed are the stored simulations of the case that came after others in a process, also of its watched
     states and its validation period, and the finished stages of this case file.
 
     Args:
-        study: the case.
+        task: the case.
     """
-    case = study.case
+    case = task.case
     family = [case] if case.validation is None else [case, case.validation]
     family += [watching_states(one) for one in family if not why_unwatched(one)]
     for one in [member for joined in family for member in joined.experiments or (joined,)]:
-        never = never_reused_file(study.paths, one)
+        never = never_reused_file(task.paths, one)
         never.parent.mkdir(parents=True, exist_ok=True)
         never.touch()
-        if (file := store_file(study.paths, one)).is_file():
+        if (file := store_file(task.paths, one)).is_file():
             with SimulationStore.at(file) as store:
                 store.give_up_reuse()
-    recorded = study.paths.recorded(case.path)
-    for manifest in study.results.parent.glob("*/*.json"):
+    recorded = task.paths.recorded(case.path)
+    for manifest in task.results.parent.glob("*/*.json"):
         if (read_json(manifest) or {}).get("case_file") == recorded:
             manifest.unlink()
 
 
 @contextmanager
-def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator["StoredWatchedModel"]:
+def open_watched_model(task: Task, *, n_first: int = 1) -> Iterator["StoredWatchedModel"]:
     """Open the model of a study's case with the stores of its simulations, with their states and without.
 
     Args:
-        study: the study.
+        task: the task.
         n_first: rows that are asked at once while none has succeeded yet.
 
     Yields:
@@ -135,24 +141,24 @@ def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator["StoredWat
         StageError: too many simulations fail; those that are finished are kept.
     """
     with (
-        open_physical_model(study) as plain,
-        open_physical_model(study, case=watching_states(study.case)) as watched,
+        open_physical_model(task) as plain,
+        open_physical_model(task, case=watching_states(task.case)) as watched,
     ):
-        watching = watched_model(study.case, watched)
+        watching = watched_model(task.case, watched)
         yield StoredWatchedModel(plain, watched, watching, n_first=n_first)
 
 
-def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:
+def say_reused(task: Task, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:
     """Say how many of a stage's rows were simulated before.
 
     Args:
-        study: the study.
+        task: the task.
         stage: what the stage is called.
         model: the model that was asked.
         n_repeated: rows that the stage asked for once more; they do not count again.
     """
     if n_reused := model.n_reused - n_repeated:
-        study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
+        task.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
 
 
 N_UNREAD = 2
@@ -182,7 +188,7 @@ class StoredWatchedModel(StoredModel):
 
         Args:
             plain: Answers without states.
-            watched: Answers with them, see `studies.calibration.states.watching_states`.
+            watched: Answers with them, see `studies.calibration.state_equations.states.watching_states`.
             signals: What is known of them, or the model that remembers them.
             n_first: Rows that are asked at once while none has succeeded yet.
         """

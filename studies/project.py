@@ -9,11 +9,16 @@ from typing import Any
 
 from simulation.errors import InputError
 from studies.blocks import Block, Column, Table, number
-from studies.console import format_seconds
 from studies.paths import ProjectPaths
-from studies.provenance import file_digest
-from studies.report.tables import tuning_table
-from studies.report.wording import (
+from studies.reporting.tables import tuning_table
+from studies.results.outcome import Outcome, read_outcome
+from studies.results.provenance import file_digest
+from studies.results.saved import plain
+from studies.results.stage_results import Calibration, TunedSize
+from studies.results.trials import TunedStudy
+from studies.tuning.study_results import latest_studies, read_studies
+from studies.words.console import format_seconds
+from studies.words.wording import (
     MISSING,
     count,
     listed,
@@ -23,10 +28,6 @@ from studies.report.wording import (
     significant,
     square_of,
 )
-from studies.stages.pipeline import Outcome, read_outcome
-from studies.stages.saved import plain
-from studies.stages.stage_results import Calibration, TunedSize
-from studies.tuning.study_results import TunedStudy, latest_studies, read_studies
 
 FIRST_WORDS = "type: studies run (the office, some minutes), or studies new for a case of your own"
 

@@ -17,20 +17,20 @@ from threadpoolctl import threadpool_limits
 
 from simulation.errors import InputError
 from simulation.foreign_text import shortened
-from studies.calibration.adaptive import Adaptive
-from studies.console import Column, Console
+from studies.calibration.search.adaptive import Adaptive
 from studies.paths import ProjectPaths
-from studies.provenance import FILE, Provenance, case_of, read_provenance
+from studies.results.provenance import FILE, Provenance, case_of, read_provenance
+from studies.results.saved import arrays_of, plain, read_arrays, read_json, rebuilt
+from studies.results.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.adaptive_stage import calibrate_adaptively
 from studies.stages.calibrate_stage import calibrate
-from studies.stages.pipeline import Study, read_json
-from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt
 from studies.stages.simulate_stage import simulate_stage
-from studies.stages.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.warm_start import ChooseRows, StartRows
+from studies.task import Task
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
 from studies.tuning.trial_training import load_data, train
+from studies.words.console import Column, Console
 
 if TYPE_CHECKING:
     from mlflow.entities import Run
@@ -92,17 +92,17 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
         record = read_json(runs.fetch(run_id, FILE, Path(scratch))) or {}
         made = read_provenance(record, f"MLflow's run {run_id}")
         case = case_of(paths, made, exactly=True)
-        study = Study(case, made.profile, paths, console, n_jobs, made.label, made.command)
+        task = Task(case, made.profile, paths, console, n_jobs, made.label, made.command)
         _say_differences(console, made.environment)
-        what = f"{run.info.run_name} of {study.label} once more"
+        what = f"{run.info.run_name} of {task.label} once more"
         with console.stage("reproduce", what), threadpool_limits(made.n_threads):
             if made.declaration is not None:
-                recorded, now = _trial(run, runs, study, made)
+                recorded, now = _trial(run, runs, task, made)
             else:
                 stage = f"calibrate-{run.info.run_name.removesuffix(' calibration')}"
                 arrays = read_arrays(runs.fetch(run_id, f"{stage}.npz", Path(scratch)))
                 # In a folder of its own, so that stored rows are simulated again as well.
-                apart = replace(study, paths=ProjectPaths(Path(scratch) / "project"))
+                apart = replace(task, paths=ProjectPaths(Path(scratch) / "project"))
                 before = rebuilt(Calibration, record.get("result"), FILE, arrays)
                 again = _calibration(apart, made, before, runs)
                 recorded, now = ({**plain(one), **arrays_of(one)} for one in (before, again))
@@ -186,13 +186,13 @@ def _say_differences(console: Console, was: Mapping[str, str]) -> None:
             console.say(f"  {key}: {before} -> {after}")
 
 
-def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[Numbers, Numbers]:
+def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Numbers, Numbers]:
     """Train a trial's surrogate again, as far as it was trained."""
     spec = made.declaration
     assert spec is not None, "of every trial"
     config = spec.config(made.params)
-    simulate_stage(study)  # what is stored is not simulated again
-    data = load_data(spec, study.paths)
+    simulate_stage(task)  # what is stored is not simulated again
+    data = load_data(spec, task.paths)
     curve = f"{CURVE}validation_mae"  # which is as sensitive as any other
     history = {point.step: point.value for point in runs.client.get_metric_history(run.info.run_id, curve)}
     is_pruned, seen = run.data.tags.get("pruned") == "True", dict[int, float]()
@@ -210,13 +210,13 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
     return {**was, curve: [*history.values()]}, {**numbers, curve: again}
 
 
-def _calibration(study: Study, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:
+def _calibration(task: Task, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:
     if made.settings is None:
-        return calibrate(study, load_surrogate(runs, made.surrogate_run), made.n_train)
+        return calibrate(task, load_surrogate(runs, made.surrogate_run), made.n_train)
     start: ChooseRows | None = None
     if before.start_theta is not None and before.start_watched is not None:
         rows = StartRows(before.start_theta, before.start_watched)
         start = lambda *_: rows  # noqa: E731 (the rows are known)
     settings = rebuilt(Adaptive, made.settings, FILE)
     learns = before.state_equations is not None
-    return calibrate_adaptively(study, settings, start, state_equations=learns)
+    return calibrate_adaptively(task, settings, start, state_equations=learns)

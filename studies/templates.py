@@ -7,7 +7,7 @@ def environment(folder: str, *, escapes: bool = False) -> Environment:
     """Return what fills the templates of a folder.
 
     Args:
-        folder: of this package, for example "report".
+        folder: of this package, for example "reporting".
         escapes: whether values are escaped, as HTML needs it.
     """
     return Environment(

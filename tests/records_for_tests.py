@@ -11,11 +11,12 @@ from simulation.case import Case, KnownError, load_case
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from studies.calibration.ledger import Ledger
-from studies.report.figures_model import TrialsRecord
-from studies.report.page import ReportData
-from studies.sobol import SobolIndices
-from studies.stages.pipeline import Outcome
-from studies.stages.stage_results import (
+from studies.calibration.sobol import SobolIndices
+from studies.calibration.uncertainty.noise import Noise
+from studies.reporting.figures_model import TrialsRecord
+from studies.reporting.page import ReportData
+from studies.results.outcome import Outcome
+from studies.results.stage_results import (
     Calibration,
     Cost,
     Covered,
@@ -26,7 +27,6 @@ from studies.stages.stage_results import (
     TunedSize,
     Uncertainty,
 )
-from studies.uncertainty.noise import Noise
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip

@@ -4,7 +4,6 @@ import ast
 import subprocess
 import sys
 import tomllib
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -40,14 +39,6 @@ def test_every_package_is_installed_with_the_project() -> None:
     assert found | {"studies.cases.data", "studies.cases.fmus"} == declared
 
 
-def test_no_two_modules_have_one_name() -> None:
-    rooms = ("simulation", "pelsvae", "studies", "fmus")
-    names = [
-        file.stem for room in rooms for file in (ROOT / room).rglob("*.py") if not file.stem.startswith("__")
-    ]
-    assert not [name for name, times in Counter(names).items() if times > 1]
-
-
 def test_nothing_of_the_recording_is_tracked() -> None:
     git = subprocess.run(
         ["git", "ls-files", "data/office-recorded", "mlruns"],
@@ -63,7 +54,7 @@ def test_nothing_of_the_recording_is_tracked() -> None:
 
 def test_every_constant_of_the_calibration_says_where_it_comes_from() -> None:
     silent = []
-    for file in sorted((ROOT / "studies" / "calibration").glob("*.py")):
+    for file in sorted((ROOT / "studies" / "calibration").rglob("*.py")):
         text = file.read_text(encoding="utf-8")
         lines, body = text.splitlines(), ast.parse(text).body
         for one, after in zip(body, [*body[1:], None], strict=True):

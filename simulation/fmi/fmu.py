@@ -16,11 +16,11 @@ from simulation.fmi.instance import FmuInstance
 from simulation.fmi.reset_proof import RestartingRunner
 from simulation.fmi.runner import Solver
 from simulation.fmi.start import RunPlan, Start
+from simulation.fmi.ties import Tie
 from simulation.fmi.unpack import keep, unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
-from simulation.ties import Tie
 from simulation.trajectories import Trajectories, wrong_number, wrong_output
 
 

@@ -13,6 +13,8 @@ from simulation.arrays import BoolArray, FloatArray
 MAX_STEPS, MAX_DAMPINGS = 40, 12
 # Relative to the curvature: rounding, and by hand. The relative gain that ends a descent is by hand, too.
 LEAST_DAMPING, FIRST_DAMPING, FTOL = 1e-9, 1e-3, 1e-6
+# Below this distance two points are one. By hand. [unit cube]
+SAME_POINT = 1e-4
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ import argparse
 
 from simulation.errors import InputError
 from studies.commands import options
-from studies.console import Console
 from studies.paths import find_project
+from studies.words.console import Console
 
 OPTIONS = (
     options.WHICH,

@@ -43,8 +43,8 @@ import argparse
 from simulation.errors import InputError
 from studies.commands import options
 from studies.commands.options import Option
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
+from studies.commands.task import hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
@@ -89,10 +89,10 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.adaptive_stage import adaptive_stage
     from studies.stages.shown import show_calibrations
 
-    study = open_study(chosen, console)
-    say_begin(study.case, console)
+    task = open_task(chosen, console)
+    say_begin(task.case, console)
     outcome = adaptive_stage(
-        study,
+        task,
         max_calls=chosen.max_calls,
         n_parallel=chosen.parallel or 1,
         target_mse=chosen.target,
@@ -100,11 +100,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         state_equations=chosen.state_equations,
         again=chosen.again,
     )
-    show_calibrations(study, [outcome])
-    targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}
+    show_calibrations(task, [outcome])
+    targets = {known.mse for known in task.case.references if known.is_target} | {chosen.target} - {None}
     history = outcome.result.history
     return hand_over(
-        study,
+        task,
         "calibrate",
         [outcome],
         method="adaptive",
@@ -123,9 +123,9 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.calibrate_stage import calibrate_stage, tuned_with_best
     from studies.stages.shown import show_calibrations
 
-    study = open_study(chosen, console)
-    say_begin(study.case, console)
-    sizes = tuned_with_best(study, chosen.n_train)
-    outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
-    show_calibrations(study, outcomes)
-    return hand_over(study, "calibrate", outcomes)
+    task = open_task(chosen, console)
+    say_begin(task.case, console)
+    sizes = tuned_with_best(task, chosen.n_train)
+    outcomes = [calibrate_stage(task, n_train, again=chosen.again) for n_train in sizes]
+    show_calibrations(task, outcomes)
+    return hand_over(task, "calibrate", outcomes)

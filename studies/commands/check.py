@@ -20,8 +20,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import FAILED, OK, open_study
-from studies.console import Console
+from studies.commands.task import FAILED, OK, open_task
+from studies.words.console import Console
 
 OPTIONS = (
     *options.CASE,
@@ -34,13 +34,13 @@ OPTIONS = (
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import show_diagnosis
+    from studies.results.saved import plain
     from studies.stages.check_stage import check_stage
-    from studies.stages.saved import plain
 
-    study = open_study(chosen, console)
+    task = open_task(chosen, console)
     console.say(options.NATIVE_CODE)
-    diagnosis = check_stage(study, again=True, is_thorough=chosen.thorough).result
-    show_diagnosis(console, study.label, diagnosis)
-    document = {"command": "check", "label": study.label, "sound": diagnosis.is_sound}
+    diagnosis = check_stage(task, again=True, is_thorough=chosen.thorough).result
+    show_diagnosis(console, task.label, diagnosis)
+    document = {"command": "check", "label": task.label, "sound": diagnosis.is_sound}
     console.document(document | plain(diagnosis))
     return OK if diagnosis.is_sound else FAILED

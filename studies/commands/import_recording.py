@@ -17,10 +17,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 from studies.commands.options import Option
-from studies.commands.study import OK
-from studies.console import Column, Console
+from studies.commands.task import OK
 from studies.embedded import adopt_cases
 from studies.paths import find_project, mark_project
+from studies.words.console import Column, Console
 
 OPTIONS = (
     Option(

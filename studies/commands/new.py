@@ -20,8 +20,8 @@ from pathlib import Path
 
 from studies.commands import options
 from studies.commands.options import Option
-from studies.console import Console
 from studies.paths import find_project
+from studies.words.console import Console
 
 OPTIONS = (
     Option("fmu", type=Path, metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0"),

@@ -25,8 +25,8 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from studies.commands import options
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
+from studies.commands.task import hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
@@ -48,14 +48,14 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     if chosen.inputs is None and chosen.experiment is None:
         raise InputError("predict needs --inputs FILE, or --experiment NAME of a case with experiments")
-    study = open_study(chosen, console)
-    calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
-    outcome = predict_stage(study, calibration, chosen.inputs, chosen.experiment)
-    found, table = outcome.result, study.paths.root / outcome.result.table
-    console.result(f"Table: {study.paths.show(table)}")
-    console.result(f"Picture: {study.paths.show(table.with_suffix('.png'))}")
+    task = open_task(chosen, console)
+    calibration = calibration_to_judge(task, chosen.method, chosen.n_train)
+    outcome = predict_stage(task, calibration, chosen.inputs, chosen.experiment)
+    found, table = outcome.result, task.paths.root / outcome.result.table
+    console.result(f"Table: {task.paths.show(table)}")
+    console.result(f"Picture: {task.paths.show(table.with_suffix('.png'))}")
     if found.level is None:
-        console.result(f"No bands: type studies uncertainty {study.command}, then this command again")
+        console.result(f"No bands: type studies uncertainty {task.command}, then this command again")
     if found.n_failed:
         console.warn(f"{found.n_failed} of {found.n_sample} simulations of the bands failed and are left out")
-    return hand_over(study, "predict", [outcome])
+    return hand_over(task, "predict", [outcome])

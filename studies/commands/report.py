@@ -11,8 +11,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
+from studies.commands.task import hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = options.CASE
 
@@ -21,7 +21,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.stages.report_stage import report_stage, show_report
 
-    study = open_study(chosen, console)
-    outcome = report_stage(study)
-    show_report(study, outcome.result)
-    return hand_over(study, "report", [outcome])
+    task = open_task(chosen, console)
+    outcome = report_stage(task)
+    show_report(task, outcome.result)
+    return hand_over(task, "report", [outcome])

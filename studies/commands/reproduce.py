@@ -19,9 +19,9 @@ import argparse
 from dataclasses import asdict
 
 from studies.commands import options
-from studies.commands.study import FAILED, OK
-from studies.console import Console
+from studies.commands.task import FAILED, OK
 from studies.paths import find_project
+from studies.words.console import Console
 
 OPTIONS = (
     options.Option("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration"),

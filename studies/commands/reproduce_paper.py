@@ -32,16 +32,16 @@ from typing import TYPE_CHECKING, Any
 from simulation.errors import InputError
 from studies.commands import options
 from studies.commands.options import Option
-from studies.commands.study import OK, open_study
-from studies.console import Column, Console
+from studies.commands.task import OK, open_task
 from studies.paper import ALIASES, DRAWN, ITEMS, NEEDS_FIG6
 from studies.paths import find_project
-from studies.report.wording import cell_text, listed
+from studies.words.console import Column, Console
+from studies.words.wording import cell_text, listed
 
 if TYPE_CHECKING:
     from studies.paper.items import Shown
     from studies.paper.plan import Plan
-    from studies.stages.pipeline import Study
+    from studies.task import Task
 
 PROFILE = "thorough"
 WORDS = (*ITEMS, *ALIASES)
@@ -83,23 +83,23 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         wanted.add("fig6")
     items = [item for item in ITEMS if item in wanted]
     plan = _plan(chosen, console)
-    study, budget = plan.study, plan.budget
+    task, budget = plan.task, plan.budget
     console.table(
-        f"{study.label}: {budget.name} budget",
+        f"{task.label}: {budget.name} budget",
         [Column("item"), Column("what")],
         [[item, ITEMS[item]] for item in items],
     )
     trials = ", ".join(f"{n}: {n_trials}" for n, n_trials in budget.trials.items())
     console.result(f"Trials by training-set size: {trials}")
-    document = {"command": "reproduce-paper", "label": study.label, "budget": asdict(budget)}
+    document = {"command": "reproduce-paper", "label": task.label, "budget": asdict(budget)}
     if chosen.dry_run:
         console.document({**document, "items": items, "dry_run": True})
         return OK
     made = {}
     for item in items:
         shown, files = make(plan, item)
-        _show(shown, [study.paths.show(file) for file in files], console)
-        made[item] = study.paths.show(files[0])
+        _show(shown, [task.paths.show(file) for file in files], console)
+        made[item] = task.paths.show(files[0])
     console.document({**document, "items": made})
     return OK
 
@@ -156,9 +156,9 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         n_seeds=chosen.seeds,
     )
 
-    def opener(*, window: tuple[float, float] | None = None, **changes: Any) -> "Study":
+    def opener(*, window: tuple[float, float] | None = None, **changes: Any) -> "Task":
         words = {"profile": asked, "window": None if window is None else options.Window(*window), **changes}
-        return open_study(argparse.Namespace(**vars(chosen) | words), console)
+        return open_task(argparse.Namespace(**vars(chosen) | words), console)
 
     words = [str(chosen.case)]
     for name in ("profile", "budget", "trials", "seeds", "seed", "hyperparameters"):

@@ -15,8 +15,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import FAILED, OK, hand_over, open_study
-from studies.console import Console
+from studies.commands.task import FAILED, OK, hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
@@ -27,11 +27,11 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    study = open_study(chosen, console)
+    task = open_task(chosen, console)
     if chosen.dry_run:
         from studies.forecast import foretell
 
-        foretell(study, "run")
+        foretell(task, "run")
         return OK
     from studies.doctor import say_warnings, show_diagnosis
     from studies.stages.calibrate_stage import calibrate_stage
@@ -41,23 +41,21 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.shown import show_calibrations
     from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
 
-    require_tuning(study)
-    checked = check_stage(study)
+    require_tuning(task)
+    checked = check_stage(task)
     diagnosis = checked.result
     if not diagnosis.is_sound:
-        show_diagnosis(console, study.label, diagnosis)
-        document = {"command": "run", "label": study.label, "stages": [checked.to_dict(study.paths)]}
-        console.document(document, of=(study, [checked]))
+        show_diagnosis(console, task.label, diagnosis)
+        document = {"command": "run", "label": task.label, "stages": [checked.to_dict(task.paths)]}
+        console.document(document, of=(task, [checked]))
         return FAILED
     say_warnings(console, diagnosis)
-    simulated = simulate_stage(study)
-    sensitivity = sensitivity_stage(study)
-    tuned = tune_stage(study, simulated)
-    calibrated = [
-        calibrate_stage(study, n_train, again=chosen.again) for n_train in study.profile.data.n_train
-    ]
-    reported = report_stage(study)
-    show_tuning(study, tuned.result)
-    show_calibrations(study, calibrated)
-    show_report(study, reported.result)
-    return hand_over(study, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])
+    simulated = simulate_stage(task)
+    sensitivity = sensitivity_stage(task)
+    tuned = tune_stage(task, simulated)
+    calibrated = [calibrate_stage(task, n_train, again=chosen.again) for n_train in task.profile.data.n_train]
+    reported = report_stage(task)
+    show_tuning(task, tuned.result)
+    show_calibrations(task, calibrated)
+    show_report(task, reported.result)
+    return hand_over(task, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])

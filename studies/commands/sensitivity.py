@@ -12,19 +12,19 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
+from studies.commands.task import hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = options.SIMULATED
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.report.tables import sensitivity_table
+    from studies.reporting.tables import sensitivity_table
     from studies.stages.simulate_stage import sensitivity_stage
 
-    study = open_study(chosen, console)
-    outcome = sensitivity_stage(study)
+    task = open_task(chosen, console)
+    outcome = sensitivity_stage(task)
     console.show([sensitivity_table(outcome.result)])
     mean = {name: {"first": first, "total": total} for name, (first, total) in outcome.result.mean.items()}
-    return hand_over(study, "sensitivity", [outcome], mean_indices=mean)
+    return hand_over(task, "sensitivity", [outcome], mean_indices=mean)

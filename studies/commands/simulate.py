@@ -21,8 +21,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
+from studies.commands.task import hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = options.SIMULATED
 
@@ -31,7 +31,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.stages.simulate_stage import show_sets, simulate_stage
 
-    study = open_study(chosen, console)
-    outcome = simulate_stage(study)
-    show_sets(study, outcome.result)
-    return hand_over(study, "simulate", [outcome])
+    task = open_task(chosen, console)
+    outcome = simulate_stage(task)
+    show_sets(task, outcome.result)
+    return hand_over(task, "simulate", [outcome])

@@ -15,8 +15,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.console import Console
 from studies.paths import find_project
+from studies.words.console import Console
 
 OPTIONS = (options.WHICH,)
 

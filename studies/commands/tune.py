@@ -19,8 +19,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import OK, hand_over, open_study
-from studies.console import Console
+from studies.commands.task import OK, hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
@@ -30,17 +30,17 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    study = open_study(chosen, console)
+    task = open_task(chosen, console)
     if chosen.dry_run:
         from studies.forecast import foretell
 
-        foretell(study, "tune")
+        foretell(task, "tune")
         return OK
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
     from studies.stages.simulate_stage import simulate_stage
 
-    require_tuning(study)
-    simulated = simulate_stage(study)
-    tuned = tune_stage(study, simulated)
-    show_tuning(study, tuned.result)
-    return hand_over(study, "tune", [simulated, tuned])
+    require_tuning(task)
+    simulated = simulate_stage(task)
+    tuned = tune_stage(task, simulated)
+    show_tuning(task, tuned.result)
+    return hand_over(task, "tune", [simulated, tuned])

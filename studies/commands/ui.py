@@ -19,8 +19,8 @@ import os
 from pathlib import Path
 
 from studies.commands import options
-from studies.console import Console
 from studies.paths import find_project
+from studies.words.console import Console
 
 OPTIONS = (
     options.Option(

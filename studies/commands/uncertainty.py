@@ -24,8 +24,8 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
+from studies.commands.task import hand_over, open_task
+from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
@@ -45,11 +45,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.shown import show_uncertainty
     from studies.stages.uncertainty_stage import calibration_to_judge, uncertainty_stage, usual_calls
 
-    study = open_study(chosen, console)
-    calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
-    max_calls = chosen.max_calls or usual_calls(study.case.parameter_space.n_parameters)
+    task = open_task(chosen, console)
+    calibration = calibration_to_judge(task, chosen.method, chosen.n_train)
+    max_calls = chosen.max_calls or usual_calls(task.case.parameter_space.n_parameters)
     outcome = uncertainty_stage(
-        study, calibration, noise=chosen.noise, max_calls=max_calls, again=chosen.again
+        task, calibration, noise=chosen.noise, max_calls=max_calls, again=chosen.again
     )
-    show_uncertainty(study, outcome.result)
-    return hand_over(study, "uncertainty", [outcome])
+    show_uncertainty(task, outcome.result)
+    return hand_over(task, "uncertainty", [outcome])

@@ -16,8 +16,8 @@ from studies.doctor.asking import Asked, TimedModel
 from studies.doctor.declared import undeclared, unit_problem
 from studies.doctor.effects import SAME
 from studies.doctor.finding import LONGEST, MORE_TIME, STOPPED, Finding, Level, finding, named
-from studies.report.figures_model import enclosed_fraction
-from studies.report.wording import count, percent, quantity, shown_unit, square_of
+from studies.reporting.figures_model import enclosed_fraction
+from studies.words.wording import count, percent, quantity, shown_unit, square_of
 
 N_CORNERS, N_COVERAGE = 32, 64
 DOCTOR_SEED = 12_345

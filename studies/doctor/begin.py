@@ -7,8 +7,8 @@ import numpy as np
 from simulation.case import Case
 from simulation.case_data import GAP_STEPS
 from simulation.time_unit import DAY_S, unit_for
-from studies.console import Console
 from studies.doctor.finding import LONGEST, Finding, finding
+from studies.words.console import Console
 
 _SAME = 1e-6
 """Moments that are no farther apart than this share of an output step are the same, as in the comparison."""

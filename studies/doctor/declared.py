@@ -10,7 +10,7 @@ from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.time_unit import DAY_S, period_text, unit_for
 from studies.doctor.finding import LONGEST, Finding, finding, named
-from studies.report.wording import count
+from studies.words.wording import count
 
 COLDEST_K, COLDEST_DEGC = 150.0, -100.0
 LIKE_KELVIN = (200.0, 400.0)

@@ -18,7 +18,6 @@ from simulation.pool.pool_model import PoolModel
 from simulation.pool.worker_process import NewProcess
 from simulation.trajectories import Trajectories
 from studies.circumstances import RowsInCircumstances
-from studies.console import format_seconds
 from studies.doctor.asking import Asked, TimedModel
 from studies.doctor.begin import look_at_begin
 from studies.doctor.budget import EXAMINATION_S, SLOWER, TimeBudget
@@ -27,7 +26,8 @@ from studies.doctor.finding import Diagnosis, Finding, finding, named
 from studies.doctor.means import look_at_means, rows_for_means
 from studies.doctor.names import look_at_names
 from studies.physical_model import give_up_reuse, never_reused_file, open_physical_model
-from studies.stages.pipeline import Study
+from studies.task import Task
+from studies.words.console import format_seconds
 
 N_STEPS = 8
 N_ORDERED, LEAST_ORDERED, QUICK_S = 8, 2, 0.5
@@ -38,25 +38,25 @@ N_TRIES = 8
 """Points of the box beside its middle, one of which stands for estimates where there are none."""
 
 
-def examine(study: Study, *, is_thorough: bool = False, limit_s: float = EXAMINATION_S) -> Diagnosis:
+def examine(task: Task, *, is_thorough: bool = False, limit_s: float = EXAMINATION_S) -> Diagnosis:
     """Examine the case of a study.
 
     Args:
-        study: the case, and how many processes simulate at once.
+        task: the case, and how many processes simulate at once.
         is_thorough: whether nothing is left out, however long it takes.
         limit_s: simulating time of an examination that is not thorough; the first simulation may take
             longer. [s]
     """
-    case, until = study.case, monotonic() + limit_s
+    case, until = task.case, monotonic() + limit_s
     if not case.experiments:
-        one = _Examination(study, is_thorough=is_thorough, limit_s=limit_s)
+        one = _Examination(task, is_thorough=is_thorough, limit_s=limit_s)
         return Diagnosis((*one.findings(), *one.of_effects()), one.budget.simulation_s)
     found, longest_s, parts = list[Finding](), 0.0, dict[str, effects.Effects | None]()
     members = list(named_experiments(case))
     for n_before, (name, member) in enumerate(members):
         # What one experiment leaves of its share the others have.
         share_s = max(0.0, until - monotonic()) / (len(members) - n_before)
-        part, is_first = replace(study, case=member), n_before == 0
+        part, is_first = replace(task, case=member), n_before == 0
         one = _Examination(part, is_thorough=is_thorough, limit_s=share_s, is_first=is_first)
         found += (replace(line, what=f"{name}: {line.what}") for line in one.findings())
         longest_s = max(longest_s, one.budget.simulation_s)
@@ -75,10 +75,10 @@ class _Examination:
         effects: What parameters do; None where nothing could be simulated.
     """
 
-    def __init__(self, study: Study, *, is_thorough: bool, limit_s: float, is_first: bool = True) -> None:
-        self._study, self._case, policy = study, study.case, study.case.policy
-        self._base = study.case.parameter_space.expected
-        n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
+    def __init__(self, task: Task, *, is_thorough: bool, limit_s: float, is_first: bool = True) -> None:
+        self._study, self._case, policy = task, task.case, task.case.policy
+        self._base = task.case.parameter_space.expected
+        n_workers = min(task.n_jobs, policy.max_workers or task.n_jobs)
         self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s, limit_s=limit_s)
         self.effects: effects.Effects | None = None
         self._is_random = False

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from studies.console import Column, Console
+from studies.words.console import Column, Console
 
 Level = Literal["ok", "warn", "fail"]
 LONGEST = 4

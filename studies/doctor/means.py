@@ -16,7 +16,7 @@ from simulation.measurement import Measurement
 from simulation.samples import Samples
 from simulation.trajectories import Trajectories
 from studies.doctor.finding import Finding, finding
-from studies.report.wording import quantity, square_of
+from studies.words.wording import quantity, square_of
 
 Simulate = Callable[[FloatArray], Trajectories]
 """Answers rows. Shape (n, p). [per parameter]"""

@@ -31,9 +31,9 @@ from simulation.foreign_file import (
 from simulation.foreign_text import not_a_formula, quoted, shortened
 from simulation.units import in_si
 from studies.project import FinishedCalibration, Project, best_calibrations
-from studies.provenance import Provenance, case_of, read_provenance
-from studies.report.wording import listed, square_of
+from studies.results.provenance import Provenance, case_of, read_provenance
 from studies.templates import environment
+from studies.words.wording import listed, square_of
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from studies.exports.calibrated_values import (
 )
 from studies.paths import folder_name
 from studies.project import Project, best_by_label, changed_files
-from studies.provenance import FILE, case_of, read_provenance
-from studies.report.wording import listed
-from studies.stages.pipeline import read_json
+from studies.results.provenance import FILE, case_of, read_provenance
+from studies.results.saved import read_json
 from studies.tracking.runs import load_surrogate, run_store
+from studies.words.wording import listed
 
 OF_VALUES: dict[str, Callable[[CalibratedValues], bytes]] = {
     "ssv": as_ssv,

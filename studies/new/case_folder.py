@@ -13,7 +13,6 @@ from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.whole_file import whole_file
 from simulation.write_gate import check_written
-from studies.console import Column, Console
 from studies.new.choice import (
     bounds_for,
     choose_outputs,
@@ -24,7 +23,8 @@ from studies.new.choice import (
 )
 from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
 from studies.paths import ProjectPaths, mark_project
-from studies.report.wording import axis_label, count
+from studies.words.console import Column, Console
+from studies.words.wording import axis_label, count
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,17 @@ import numpy as np
 from studies.paper.items import Cell, Origin, Shown, origin_of, write_size
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.report.figures_model import TrialsRecord, mae_over_n_figure
-from studies.row_set import RowSet
+from studies.reporting.figures_model import TrialsRecord, mae_over_n_figure
+from studies.results.outcome import Outcome
+from studies.results.row_set import RowSet
+from studies.results.stage_results import SimulatedSets
+from studies.results.trials import TrialView, TunedStudy
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage
-from studies.stages.pipeline import Outcome, Study
 from studies.stages.simulate_stage import set_files, simulate_stage
-from studies.stages.stage_results import SimulatedSets
 from studies.stages.tuned_trials import tuned_by_size
-from studies.tuning.study_results import TrialView, TunedStudy, importances
+from studies.task import Task
+from studies.tuning.study_results import importances
 
 SETTINGS = ("n_latent", "n_hidden", "beta", "learning_rate")
 
@@ -109,39 +111,39 @@ SIZE = SizeTrials
 
 def run(plan: Plan) -> Shown:
     """Tune every size on the window of Fig. 6, the faithful form beside it, and show all trials."""
-    study, beside = plan.hyperparameter_study(), plan.faithful_study()
-    simulated = tune_sizes(study, plan.budget.trials)
+    task, beside = plan.hyperparameter_study(), plan.faithful_study()
+    simulated = tune_sizes(task, plan.budget.trials)
     if beside is not None:
         tune_sizes(beside, plan.budget.faithful_trials)
-    networks, pca_gp = _tunings(study), _tunings(study, baseline=True)
+    networks, pca_gp = _tunings(task), _tunings(task, baseline=True)
     faithful = {} if beside is None else _tunings(beside)
-    mean_mae = _mean_predictor(study, simulated)
+    mean_mae = _mean_predictor(task, simulated)
     sizes = [
         SizeTrials(n, mean_mae[n], networks[n], faithful.get(n), pca_gp.get(n)) for n in sorted(networks)
     ]
-    origin = origin_of(plan, study, "fig6")
+    origin = origin_of(plan, task, "fig6")
     for size in sizes:
         write_size(plan.folder("fig6"), origin, size.n_train, size)
     return shown(origin, sizes)
 
 
-def tune_sizes(study: Study, trials: Mapping[int, int]) -> Outcome[SimulatedSets]:
+def tune_sizes(task: Task, trials: Mapping[int, int]) -> Outcome[SimulatedSets]:
     """Simulate the sets of a study and tune all its sizes.
 
     Args:
-        study: the study, with all sizes.
+        task: the task, with all sizes.
         trials: trials by size.
 
     Returns:
         What was simulated.
     """
-    simulated = simulate_stage(study)
+    simulated = simulate_stage(task)
     # Breadth first: an interruption leaves something of every size.
     for n_trials in sorted(set(trials.values())):
-        profile = study.profile
+        profile = task.profile
         data = replace(profile.data, n_train=tuple(n for n in trials if trials[n] >= n_trials))
         profile = replace(profile, data=data, tuning=replace(profile.tuning, n_trials=n_trials))
-        tune_stage(replace(study, profile=profile), simulated)
+        tune_stage(replace(task, profile=profile), simulated)
     return simulated
 
 
@@ -236,20 +238,20 @@ def _known(error: float | None) -> float:
     return np.inf if error is None else error
 
 
-def _mean_predictor(study: Study, simulated: Outcome[SimulatedSets]) -> dict[int, float]:
+def _mean_predictor(task: Task, simulated: Outcome[SimulatedSets]) -> dict[int, float]:
     """Return the test error of predicting the training set's mean trajectory, by size. [output's unit]."""
-    files = set_files(study, simulated.result)
-    scales = study.case.measurement.error_scales
+    files = set_files(task, simulated.result)
+    scales = task.case.measurement.error_scales
     train, test = (RowSet.load(files[name]).read().y for name in ("train", "test"))
     test = test[np.isfinite(test).all(axis=(1, 2))]
     return {
         n: float(np.mean(np.abs(np.nanmean(train[:n], axis=0) - test) * scales))
-        for n in study.profile.data.n_train
+        for n in task.profile.data.n_train
     }
 
 
-def _tunings(study: Study, *, baseline: bool = False) -> dict[int, Tuning]:
-    found = tuned_by_size(study, baseline=baseline)
+def _tunings(task: Task, *, baseline: bool = False) -> dict[int, Tuning]:
+    found = tuned_by_size(task, baseline=baseline)
     return {n: _tuning(one) for n, one in found.items() if one.best is not None}
 
 

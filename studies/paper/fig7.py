@@ -13,12 +13,12 @@ from studies.paper.models import Chosen, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import N_IMPORTANT
 from studies.physical_model import open_physical_model
-from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
-from studies.report.wording import axis_label, count
+from studies.reporting.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.stages.calibrate_stage import best_surrogate
-from studies.stages.pipeline import Study
 from studies.stages.simulate_stage import TEST_SEED, sensitivity_stage
 from studies.surrogate_model import SurrogateModel
+from studies.task import Task
+from studies.words.wording import axis_label, count
 
 SPREADS = np.linspace(0.0, 1.0, 11)
 """The paper's delta. [1]"""
@@ -53,11 +53,11 @@ SIZE = SpreadSize
 def run(plan: Plan) -> Shown:
     """Simulate the test sets and let the best of every size, trained again, predict them."""
     chosen = chosen_settings(plan)
-    trained = {n: train_again(plan.study, n, one.settings) for n, one in chosen.items()}
-    study = next(iter(trained.values()))[0]
-    important = important_parameters(plan.study)
-    judged, n_rows = _judge(study, plan.budget.n_spread, important)
-    origin = origin_of(plan, plan.study, "fig7")
+    trained = {n: train_again(plan.task, n, one.settings) for n, one in chosen.items()}
+    task = next(iter(trained.values()))[0]
+    important = important_parameters(plan.task)
+    judged, n_rows = _judge(task, plan.budget.n_spread, important)
+    origin = origin_of(plan, plan.task, "fig7")
     found = [
         SpreadSize(
             **vars(chosen[n]),
@@ -75,9 +75,9 @@ def run(plan: Plan) -> Shown:
     return shown(origin, found)
 
 
-def important_parameters(study: Study) -> tuple[str, ...]:
+def important_parameters(task: Task) -> tuple[str, ...]:
     """Return the six parameters of largest first-order Sobol index, averaged over time (Fig. 5)."""
-    indices = sensitivity_stage(study).result
+    indices = sensitivity_stage(task).result
     return tuple(indices.names[i] for i in indices.order()[:N_IMPORTANT])
 
 
@@ -117,14 +117,12 @@ def _figure(origin: Origin, sizes: Sequence[SpreadSize]) -> Figure:
     return Figure(title, tuple(panels), columns=2, shows_names=True)
 
 
-def _judge(
-    study: Study, n: int, important: tuple[str, ...]
-) -> tuple[dict[tuple[int, str], list[Errors]], int]:
+def _judge(task: Task, n: int, important: tuple[str, ...]) -> tuple[dict[tuple[int, str], list[Errors]], int]:
     """Return the errors at all spreads by size and kind, and the rows of the narrower test sets."""
-    measurement, space = study.case.measurement, study.case.parameter_space
+    measurement, space = task.case.measurement, task.case.parameter_space
     true: dict[str, list[Trajectories]] = {kind: [] for kind in KINDS}
     asked: set[bytes] = set()
-    with open_physical_model(study) as physical:
+    with open_physical_model(task) as physical:
         for kind, columns in (("important", important), ("all", None)):
             for spread in SPREADS:
                 # At 1 it is the test set that all trials are judged by, at 0 one point.
@@ -134,8 +132,8 @@ def _judge(
                 rows = physical.simulate(theta)
                 true[kind].append(rows.take(~rows.failed))
     found = {}
-    for n_train in study.profile.data.n_train:
-        surrogate = best_surrogate(study, n_train)
+    for n_train in task.profile.data.n_train:
+        surrogate = best_surrogate(task, n_train)
         model = SurrogateModel(surrogate, space, measurement.output_names, measurement.time)
         for kind in KINDS:
             found[n_train, kind] = [

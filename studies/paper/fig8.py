@@ -11,8 +11,8 @@ from studies.paper.items import Cell, Shown
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_8_BEST, FIG_8_MEAN
 from studies.paper.table3 import SETTINGS, Start, computed
-from studies.report.drawing import BETWEEN_BOUNDS, SERIES, Axis, Figure, Panel, Series
-from studies.report.wording import square_of
+from studies.reporting.drawing import BETWEEN_BOUNDS, SERIES, Axis, Figure, Panel, Series
+from studies.words.wording import square_of
 
 N_CLUSTERS, N_LARGEST, BEST_SHARE = 10, 3, 0.05
 """The paper's numbers of centroids and of clusters shown, and its best 5 %."""
@@ -20,15 +20,15 @@ N_CLUSTERS, N_LARGEST, BEST_SHARE = 10, 3, 0.05
 
 def run(plan: Plan) -> Shown:
     """Start LS-TRF as in the paper, and with SciPy's tolerance in the case's own scales."""
-    study, n_starts = plan.study, plan.budget.n_starts
-    paper = replace(SETTINGS["LS-TRF"], n_starts=n_starts, seed=study.profile.seed)
+    task, n_starts = plan.task, plan.budget.n_starts
+    paper = replace(SETTINGS["LS-TRF"], n_starts=n_starts, seed=task.profile.seed)
     # The second shows which optima are minima, and which searches stopped early.
     rows = (paper, replace(paper, in_unit_cube=True, tolerance=None))
-    found = [(row.title, computed(study, row, plan.folder("fig8"))) for row in rows]
-    space, starts = study.case.parameter_space, found[0][1]
+    found = [(row.title, computed(task, row, plan.folder("fig8"))) for row in rows]
+    space, starts = task.case.parameter_space, found[0][1]
     u = space.to_unit(np.array([one.theta for one in starts]))
     best = np.argsort([one.mse for one in starts], kind="stable")[: _n_best(len(starts))]
-    unit = square_of(study.case.outputs[0].unit)
+    unit = square_of(task.case.outputs[0].unit)
     return Shown(
         f"Fig. 8: optima of many starts; MSE [{unit}]",
         ("starts", "calls", "best MSE", "best 5 %", "median", "mean", "within 1 % of the best"),
@@ -38,7 +38,7 @@ def run(plan: Plan) -> Shown:
         ),
         "optima.png",
         _figure(space.names, u, best),
-        study.label,
+        task.label,
     )
 
 

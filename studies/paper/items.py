@@ -10,11 +10,12 @@ from simulation.errors import InputError
 from studies.paper import ITEMS
 from studies.paper.plan import Plan
 from studies.paths import size_name
-from studies.report.drawing import Figure, write_picture
-from studies.report.wording import difference_unit
-from studies.stages.pipeline import Study, digest_of, read_json, write_json
-from studies.stages.saved import plain, rebuilt
+from studies.reporting.drawing import Figure, write_picture
+from studies.results.outcome import digest_of
+from studies.results.saved import plain, read_json, rebuilt, write_json
+from studies.task import Task
 from studies.tracking.origin import versions
+from studies.words.wording import difference_unit
 
 RESULT = "result.json"
 
@@ -74,12 +75,12 @@ def make(plan: Plan, item: str) -> tuple[Shown, list[Path]]:
     """
     from studies.tracking.runs import log_stage
 
-    started_s, study = time.time(), plan.study
-    with study.console.stage(item, ITEMS[item]):
+    started_s, task = time.time(), plan.task
+    with task.console.stage(item, ITEMS[item]):
         shown: Shown = module_of(item).run(plan)
         files = shown.write(plan.folder(item), plan.command(item))
     log_stage(
-        study,
+        task,
         "paper",
         f"paper {item}",
         key=digest_of({"item": item, "result": files[0].read_text(encoding="utf-8")}),
@@ -127,24 +128,24 @@ class Origin:
     versions: dict[str, str]
 
 
-def origin_of(plan: Plan, study: Study, item: str) -> Origin:
+def origin_of(plan: Plan, task: Task, item: str) -> Origin:
     """Return where the sizes of an item come from.
 
     Args:
         plan: what is repeated.
-        study: the study that was tuned or calibrated.
+        task: the study that was tuned or calibrated.
         item: name of the item.
     """
-    data, case = study.profile.data, study.case
+    data, case = task.profile.data, task.case
     return Origin(
         command=plan.command(item),
         case=case.name,
         case_sha256=case.digest,
-        label=plan.study.label,
+        label=plan.task.label,
         note=case.note,
         budget=plan.budget.name,
-        profile=study.profile.name,
-        seed=study.profile.seed,
+        profile=task.profile.name,
+        seed=task.profile.seed,
         window_d=case.window_d,
         unit=difference_unit(case.outputs[0].unit),
         n_validation=data.n_validation,

@@ -8,8 +8,8 @@ from studies.paper.items import read_sizes
 from studies.paper.plan import Plan
 from studies.search_space import SearchParameter, Value
 from studies.stages.learn import tune_stage
-from studies.stages.pipeline import Study
 from studies.stages.simulate_stage import simulate_stage
+from studies.task import Task
 
 Settings = dict[str, Value]
 
@@ -37,7 +37,7 @@ def chosen_settings(plan: Plan) -> dict[int, Chosen]:
     Raises:
         InputError: there are no trials of a size, or they are those of another form of the surrogate.
     """
-    folder, wanted = plan.trials or plan.folder("fig6"), plan.study.profile.tuning.surrogate
+    folder, wanted = plan.trials or plan.folder("fig6"), plan.task.profile.tuning.surrogate
     origin, sizes = read_sizes(folder, SizeTrials)
     tunings = {size.n_train: size.networks for size in sizes}
     for n in plan.budget.n_train:
@@ -52,23 +52,23 @@ def chosen_settings(plan: Plan) -> dict[int, Chosen]:
     return {n: Chosen(n, wanted, dict(tunings[n].best.params), days) for n in plan.budget.n_train}
 
 
-def train_again(study: Study, n_train: int, settings: Settings) -> tuple[Study, float]:
+def train_again(task: Task, n_train: int, settings: Settings) -> tuple[Task, float]:
     """Simulate a study's sets and train the surrogate of one of its sizes, with all epochs.
 
     Args:
-        study: the study, with all sizes.
+        task: the study, with all sizes.
         n_train: training-set size.
         settings: hyperparameters.
 
     Returns:
         The study of these surrogates, with a label and results of its own; the training time [s].
     """
-    study = replace(study, label=f"{study.label}-fig6")
-    simulated = simulate_stage(study)
+    task = replace(task, label=f"{task.label}-fig6")
+    simulated = simulate_stage(task)
     # The study of one size whose only trial has these hyperparameters.
-    profile = study.profile
+    profile = task.profile
     search = {name: SearchParameter("categorical", choices=(value,)) for name, value in settings.items()}
     tuning = replace(profile.tuning, n_trials=1, search=search, enqueue=(), baseline=False)
     one_size = replace(profile, data=replace(profile.data, n_train=(n_train,)), tuning=tuning)
-    (found,) = tune_stage(replace(study, profile=one_size), simulated).result.studies
-    return study, found.wall_s
+    (found,) = tune_stage(replace(task, profile=one_size), simulated).result.studies
+    return task, found.wall_s

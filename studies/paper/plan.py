@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from studies.profile import Profile
-from studies.stages.pipeline import Study
+from studies.task import Task
 
 HYPERPARAMETER_WINDOW_D = (8.0, 16.0)
 """Days of Fig. 6; everything else is done on the case's own window."""
@@ -108,38 +108,38 @@ class Plan:
         trials: folder with the trials of Fig. 6 whose best are trained again; None takes this project's own.
     """
 
-    opener: Callable[..., Study]
+    opener: Callable[..., Task]
     budget: PaperBudget
     words: str
     trials: Path | None = None
 
     @cached_property
-    def study(self) -> Study:
+    def task(self) -> Task:
         """The study of the case's own window, which all results are named after."""
         return self.opener(n_train=self.budget.n_train)
 
-    def hyperparameter_study(self) -> Study:
+    def hyperparameter_study(self) -> Task:
         """Return the study of Fig. 6, with all sizes."""
         return self.opener(window=HYPERPARAMETER_WINDOW_D, n_train=self.budget.n_train)
 
-    def faithful_study(self) -> Study | None:
+    def faithful_study(self) -> Task | None:
         """Return the study of the faithful form that Fig. 6 shows beside it, None where none is planned."""
         if not self.budget.faithful_trials:
             return None
         sizes = tuple(self.budget.faithful_trials)
-        study = self.opener(window=HYPERPARAMETER_WINDOW_D, profile=FAITHFUL_PROFILE, n_train=sizes)
-        tuning = replace(study.profile.tuning, baseline=False)
-        return replace(study, profile=replace(study.profile, tuning=tuning))
+        task = self.opener(window=HYPERPARAMETER_WINDOW_D, profile=FAITHFUL_PROFILE, n_train=sizes)
+        tuning = replace(task.profile.tuning, baseline=False)
+        return replace(task, profile=replace(task.profile, tuning=tuning))
 
-    def seed_studies(self) -> tuple[Study, ...]:
+    def seed_studies(self) -> tuple[Task, ...]:
         """Return the studies of Table 4: all sizes with the plan's seed, then some with each further seed."""
-        first, sizes = self.study.profile.seed, self.budget.seed_sizes
+        first, sizes = self.task.profile.seed, self.budget.seed_sizes
         seeds = range(first + 1, first + self.budget.n_seeds)
-        return (self.study, *(self.opener(seed=seed, n_train=sizes) for seed in seeds))
+        return (self.task, *(self.opener(seed=seed, n_train=sizes) for seed in seeds))
 
     def folder(self, item: str) -> Path:
         """Return where an item's files lie."""
-        return self.study.results / "paper" / item
+        return self.task.results / "paper" / item
 
     def command(self, item: str) -> str:
         """Return what makes one item alone."""

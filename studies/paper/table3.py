@@ -30,10 +30,11 @@ from studies.calibration.recorder import Recorder
 from studies.paper.items import Cell, Shown
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_3
-from studies.report.wording import square_of
+from studies.results.outcome import digest_of
+from studies.results.saved import read_json, rebuilt, write_json
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Study, digest_of, read_json, write_json
-from studies.stages.saved import rebuilt
+from studies.task import Task
+from studies.words.wording import square_of
 
 Method = Literal["Powell", "Nelder-Mead", "SLSQP", "LS-TRF", "Differential evolution"]
 
@@ -115,15 +116,15 @@ class Start:
     reason: str
 
 
-def computed(study: Study, row: Row, folder: Path) -> tuple[Start, ...]:
+def computed(task: Task, row: Row, folder: Path) -> tuple[Start, ...]:
     """Compute all starts of a row, or read them where the row is finished.
 
     Args:
-        study: case, window, number of processes.
+        task: case, window, number of processes.
         row: the row.
         folder: where the file of each finished row lies.
     """
-    case, file = study.case, folder / f"{row.name}.json"
+    case, file = task.case, folder / f"{row.name}.json"
     inputs = {
         "row": asdict(row),
         "case": case.digest,
@@ -136,7 +137,7 @@ def computed(study: Study, row: Row, folder: Path) -> tuple[Start, ...]:
     points, stop = start_points(case.parameter_space, row), Event()
     with ExitStack() as opened:
         models = Queue[PoolModel]()
-        for _ in range(min(study.n_jobs, row.n_starts)):
+        for _ in range(min(task.n_jobs, row.n_starts)):
             models.put(opened.enter_context(PoolModel(case.make_model, 1, policy=case.policy)))
 
         def work(theta0: FloatArray) -> Start:
@@ -151,7 +152,7 @@ def computed(study: Study, row: Row, folder: Path) -> tuple[Start, ...]:
         opened.callback(executor.shutdown, wait=False, cancel_futures=True)
         opened.callback(stop.set)
         opened.enter_context(threadpool_limits(1))
-        advance = opened.enter_context(study.console.progress(row.title, row.n_starts))
+        advance = opened.enter_context(task.console.progress(row.title, row.n_starts))
         futures = [executor.submit(work, theta0) for theta0 in points]
         for n_done, future in enumerate(as_completed(futures), start=1):
             future.result()
@@ -260,11 +261,11 @@ def _solve(row: Row, residuals: Callable[[FloatArray], FloatArray], bounds: Boun
 
 def run(plan: Plan) -> Shown:
     """Compute the rows of the budget, in the order of the paper, and LS-TRF in the scales of the case."""
-    study, folder = plan.study, plan.folder("table3")
+    task, folder = plan.task, plan.folder("table3")
 
     def cells(method: str, n_calls: int | None, mse: float | None, **changes: Any) -> tuple[Cell, ...]:
-        row = replace(SETTINGS[method], seed=study.profile.seed, **changes)
-        starts = computed(study, row, folder)
+        row = replace(SETTINGS[method], seed=task.profile.seed, **changes)
+        starts = computed(task, row, folder)
         return row.title, sum(one.n_calls for one in starts), min(one.mse for one in starts), n_calls, mse
 
     rows = [
@@ -273,7 +274,7 @@ def run(plan: Plan) -> Shown:
         if n_calls <= plan.budget.max_row_calls
     ]
     own_scales = cells("LS-TRF", None, None, in_unit_cube=True)
-    unit = square_of(study.case.outputs[0].unit)
+    unit = square_of(task.case.outputs[0].unit)
     return Shown(
         f"Table 3: optimizers on the FMU; of many starts the best; MSE [{unit}]",
         ("method", "calls", "MSE", "paper: calls", "paper: MSE"),

@@ -15,7 +15,7 @@ from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
 from studies.physical_model import open_physical_model
-from studies.report.drawing import (
+from studies.reporting.drawing import (
     DIAMOND,
     FAINT,
     HOLLOW,
@@ -27,10 +27,10 @@ from studies.report.drawing import (
     reference_lines,
     size_colors,
 )
-from studies.report.wording import axis_label, count, squared
+from studies.results.saved import Error
 from studies.stages.calibrate_stage import calibrate_stage
-from studies.stages.pipeline import Study
-from studies.stages.saved import Error
+from studies.task import Task
+from studies.words.wording import axis_label, count, squared
 
 
 @dataclass(frozen=True)
@@ -108,41 +108,39 @@ SIZE = SizeCalibrations
 
 def run(plan: Plan) -> Shown:
     """Train the best of every size again, screen and polish; do it with more seeds for the small sizes."""
-    chosen, origin = chosen_settings(plan), origin_of(plan, plan.study, "table4")
+    chosen, origin = chosen_settings(plan), origin_of(plan, plan.task, "table4")
     sizes = dict[int, SizeCalibrations]()
     # All sizes with the first seed come first, each written at once: an interruption leaves what there is.
-    for study in plan.seed_studies():
-        for n in study.profile.data.n_train:
-            found = calibrated(study, n, chosen[n].settings)
+    for task in plan.seed_studies():
+        for n in task.profile.data.n_train:
+            found = calibrated(task, n, chosen[n].settings)
             before = sizes[n].calibrations if n in sizes else ()
             sizes[n] = SizeCalibrations(
                 **vars(chosen[n]),
-                screening=asdict(study.profile.screening),
-                max_calls=study.profile.polish.max_calls,
-                references=tuple(
-                    (known.label, known.mse, known.is_target) for known in study.case.references
-                ),
+                screening=asdict(task.profile.screening),
+                max_calls=task.profile.polish.max_calls,
+                references=tuple((known.label, known.mse, known.is_target) for known in task.case.references),
                 calibrations=(*before, found),
             )
             write_size(plan.folder("table4"), origin, n, sizes[n])
     return shown(origin, list(sizes.values()))
 
 
-def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibration:
+def calibrated(task: Task, n_train: int, settings: Settings) -> SeedCalibration:
     """Train a surrogate, calibrate with it, and polish the screened point once more as the paper does.
 
     Args:
-        study: the study of a seed, with all its sizes.
+        task: the study of a seed, with all its sizes.
         n_train: training-set size.
         settings: hyperparameters of the surrogate.
     """
-    study, training_s = train_again(study, n_train, settings)
-    found = calibrate_stage(study, n_train).result
+    task, training_s = train_again(task, n_train, settings)
+    found = calibrate_stage(task, n_train).result
     screened = found.screening
     assert screened is not None, "by the paper's method"
-    squared_polish = paper_polish(study, np.array(list(screened.theta.values())))
+    squared_polish = paper_polish(task, np.array(list(screened.theta.values())))
     return SeedCalibration(
-        seed=study.profile.seed,
+        seed=task.profile.seed,
         val_mae=screened.errors["val/mae"],
         test_mae=screened.errors["test/mae"],
         test_p90=screened.errors["test/p90"],
@@ -161,20 +159,20 @@ def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibratio
     )
 
 
-def paper_polish(study: Study, screened: FloatArray) -> PolishResult:
+def paper_polish(task: Task, screened: FloatArray) -> PolishResult:
     """Polish a screened point as Table 2 writes it: squared residuals, linear coordinates.
 
     Args:
-        study: the study.
+        task: the task.
         screened: the point. Shape (p,). [per parameter]
     """
     settings = LeastSquaresTRF(
-        max_calls=study.profile.polish.max_calls,
-        ftol=study.profile.polish.ftol,
+        max_calls=task.profile.polish.max_calls,
+        ftol=task.profile.polish.ftol,
         residuals="squared",
     )
-    with open_physical_model(study) as model:
-        problem = CalibrationProblem(model, study.case.measurement)
+    with open_physical_model(task) as model:
+        problem = CalibrationProblem(model, task.case.measurement)
         u = problem.space.to_unit(screened[None])
         return settings.minimize(problem, u[0], known=problem.evaluate(u))
 

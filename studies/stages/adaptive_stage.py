@@ -11,24 +11,26 @@ from simulation.case import Case
 from simulation.errors import InputError
 from simulation.pool.execution import commonest
 from simulation.store.stored_model import StoredModel
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.experiments_ode import learned_ode
-from studies.calibration.learned_ode import LEAST_CALLS, LearnedODE
+from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.ledger import Ledger
-from studies.calibration.network_inputs import NetworkInputs
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
-from studies.calibration.row_choice import best_and_far
-from studies.calibration.states import StateSignals, why_unwatched
-from studies.console import OnBar
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.row_choice import best_and_far
+from studies.calibration.state_equations.experiments_ode import learned_ode
+from studies.calibration.state_equations.learned_ode import LEAST_CALLS, LearnedODE
+from studies.calibration.state_equations.states import StateSignals, why_unwatched
 from studies.physical_model import StoredWatchedModel, open_physical_model, open_watched_model, say_reused
-from studies.report.wording import count, quantity, square_of
+from studies.results.outcome import Outcome, digest_of
+from studies.results.stage_results import ADAPTIVE, Calibration, EquationsFound
 from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
-from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
-from studies.stages.stage_results import ADAPTIVE, Calibration, EquationsFound
+from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_calibration
 from studies.stages.warm_start import ChooseRows, WarmStart, stored_in_box
+from studies.task import StageError, Task
+from studies.words.console import OnBar
+from studies.words.wording import count, quantity, square_of
 
 MAX_CALLS = 100
 STAGE = f"calibrate-{ADAPTIVE}"
@@ -41,7 +43,7 @@ NEWS_EVERY_S = 30.0
 
 
 def adaptive_stage(
-    study: Study,
+    task: Task,
     *,
     max_calls: int | None,
     n_parallel: int,
@@ -56,7 +58,7 @@ def adaptive_stage(
     calibration that was interrupted reads what it had and goes on.
 
     Args:
-        study: the study.
+        task: the task.
         max_calls: most simulations, None for the usual number.
         n_parallel: rows per round.
         target_mse: error to stop at, or None. [first output's unit squared]
@@ -68,20 +70,20 @@ def adaptive_stage(
     Raises:
         InputError: the budget does not hold the first design, or the FMU does not show its states.
     """
-    learns = are_state_equations_learnt(study.case, state_equations)
+    learns = are_state_equations_learnt(task.case, state_equations)
     settings = Adaptive.for_sensor(
-        float(study.case.measurement.uncertainty[0]),
+        float(task.case.measurement.uncertainty[0]),
         max_calls=MAX_CALLS if max_calls is None else max_calls,
         n_parallel=n_parallel,
         target_mse=target_mse,
     )
     if not from_stored:
-        _check_budget(settings, study.case.parameter_space.n_parameters, learns=learns)
-    case = study.case
+        _check_budget(settings, task.case.parameter_space.n_parameters, learns=learns)
+    case = task.case
     inputs = {
         **case_inputs(case),
         "settings": asdict(settings),
-        "seed": study.profile.seed,
+        "seed": task.profile.seed,
         **validation_inputs(case),
         **({"from_stored": True} if from_stored else {}),
         **({"state_equations": True} if learns else {}),
@@ -90,7 +92,7 @@ def adaptive_stage(
     what = (
         f"{equations}a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most"
     )
-    stage = Stage(study, STAGE, what, inputs, Calibration, {"kind": "adaptive", "settings": asdict(settings)})
+    stage = Stage(task, STAGE, what, inputs, Calibration, {"kind": "adaptive", "settings": asdict(settings)})
     start, files = None, list[Path]()
     if from_stored:
         # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
@@ -99,7 +101,7 @@ def adaptive_stage(
         files = [stage.file.with_name(f"{STAGE}-rows.npz")]
         start = WarmStart(files[0], digest_of(question), best_and_far, anew=again and stage.file.is_file())
     return stage.once(
-        lambda: calibrate_adaptively(study, settings, start, state_equations=learns),
+        lambda: calibrate_adaptively(task, settings, start, state_equations=learns),
         again=again,
         files=files,
         log=log_calibration,
@@ -119,7 +121,7 @@ def _check_budget(settings: Adaptive, n_parameters: int, *, learns: bool) -> Non
 
 
 def calibrate_adaptively(
-    study: Study,
+    task: Task,
     settings: Adaptive,
     start: ChooseRows | None,
     *,
@@ -128,37 +130,37 @@ def calibrate_adaptively(
     """Calibrate and keep nothing but the simulations.
 
     Args:
-        study: the study.
+        task: the task.
         settings: how to search.
         start: which stored simulations to start from, None for none.
         state_equations: whether to learn the model's state equations.
     """
-    case, names = study.case, study.case.parameter_space.names
+    case, names = task.case, task.case.parameter_space.names
     n_first = min(settings.n_parallel, MOST_AT_FIRST)
-    opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
-    with opened as physical, study.console.bars() as bars:
+    opened = open_watched_model(task, n_first=n_first) if state_equations else open_physical_model(task)
+    with opened as physical, task.console.bars() as bars:
         problem = CalibrationProblem(physical, case.measurement, prior_of(case), case.layout)
-        learned_ode = learned_ode_of(study.case, physical, problem)
+        learned_ode = learned_ode_of(task.case, physical, problem)
         rows = known = None
         if start is not None:
             rows = start(physical, problem, lambda found: -found.objective)
             known = rows.judged(physical, problem)
-        _say_start(study, physical, None if known is None else known.n)
+        _say_start(task, physical, None if known is None else known.n)
         n_read = physical.n_reused
         result = settings.minimize(
             problem,
-            seed=study.profile.seed,
+            seed=task.profile.seed,
             known=known,
             learned_ode=learned_ode,
             network_inputs=None if state_equations else NetworkInputs.of(case),
-            on_progress=_reporter(study, physical, bars),
+            on_progress=_reporter(task, physical, bars),
         )
         if not np.isfinite(result.mse):
-            raise _hopeless(study, physical)
+            raise _hopeless(task, physical)
         repeated = repeat_best(physical, result.theta, result.n_calls)
-    say_reused(study, STAGE, physical, n_repeated=n_read)
+    say_reused(task, STAGE, physical, n_repeated=n_read)
     return calibration_at(
-        study,
+        task,
         physical,
         result,
         repeated=repeated,
@@ -178,50 +180,50 @@ def calibrate_adaptively(
     )
 
 
-def _say_start(study: Study, physical: StoredModel, n_start: int | None) -> None:
+def _say_start(task: Task, physical: StoredModel, n_start: int | None) -> None:
     """Say from how many stored simulations it starts, None for those that were not asked for."""
     if n_start is not None:
         begun = f"begins with {count(n_start, 'stored simulation')} of this model"
-        study.console.say(begun if n_start else "no good simulation within the bounds is stored")
+        task.console.say(begun if n_start else "no good simulation within the bounds is stored")
     elif n_good := int(physical.store.find_good(stored_in_box(physical)).sum()):
         stored = count(n_good, "stored simulation")
-        study.console.say(f"{stored} of this model: --from-stored begins with the best")
+        task.console.say(f"{stored} of this model: --from-stored begins with the best")
 
 
-def _reporter(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
+def _reporter(task: Task, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
     """Return what reports every round, on a bar or now and then in a line, and ends a hopeless search."""
-    unit = square_of(study.case.outputs[0].unit)
+    unit = square_of(task.case.outputs[0].unit)
     last_said = time.monotonic()
 
     def report(now: Progress) -> None:
         nonlocal last_said
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
-            raise _hopeless(study, physical)
-        name, n_failed = study.case.measurement.error_name, len(physical.failures)
+            raise _hopeless(task, physical)
+        name, n_failed = task.case.measurement.error_name, len(physical.failures)
         best = f"best {name} {quantity(now.best_mse, unit, 4)}"
-        if study.case.policy.is_hopeless(now.n_done, n_failed):
+        if task.case.policy.is_hopeless(now.n_done, n_failed):
             raise StageError(
                 f"{n_failed} of {count(now.n_done, 'simulation')} failed, more than "
-                f"simulation.max_failed_share = {study.case.policy.max_failed_share:g} allows; the commonest "
+                f"simulation.max_failed_share = {task.case.policy.max_failed_share:g} allows; the commonest "
                 f"reason: {commonest(physical.failures)[0]}; {best} so far, and the finished simulations are "
-                f"kept; narrow the bounds (studies check {study.command} says where it fails) or raise the "
+                f"kept; narrow the bounds (studies check {task.command} says where it fails) or raise the "
                 "share"
             )
         calls = count(now.n_done, "call")
         known = f"{calls}, {best}" if np.isfinite(now.best_mse) else calls
         news = f"{known}, now: {now.thinks_of}" if now.thinks_of else known
         bars("adaptive", now.n_done, now.n_total or now.n_done, f", {news}")
-        if not study.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:
+        if not task.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:
             last_said = time.monotonic()
-            study.console.say(f"{STAGE}: {news}")
+            task.console.say(f"{STAGE}: {news}")
 
     return report
 
 
-def _hopeless(study: Study, physical: StoredModel) -> StageError:
+def _hopeless(task: Task, physical: StoredModel) -> StageError:
     return StageError(
         f"none of {count(len(physical.failures), 'simulation')} succeeded, the first one: "
-        f"{physical.failures[0]}; type: studies check {study.command}"
+        f"{physical.failures[0]}; type: studies check {task.command}"
     )
 
 

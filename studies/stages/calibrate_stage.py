@@ -11,73 +11,75 @@ from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
+from studies.results.outcome import Outcome
+from studies.results.stage_results import Calibration, Screened
+from studies.results.trials import TrialView, TunedStudy
 from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
-from studies.stages.pipeline import Outcome, Stage, Study
-from studies.stages.stage_results import Calibration, Screened
+from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
 from studies.surrogate_model import SurrogateModel
+from studies.task import Task
 from studies.tracking.runs import load_surrogate, run_store
-from studies.tuning.study_results import TrialView, TunedStudy
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
 
-def tuned_with_best(study: Study, asked: Sequence[int] | None) -> dict[int, tuple[TunedStudy, TrialView]]:
+def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, tuple[TunedStudy, TrialView]]:
     """Return the tuned study and the best trial of each training-set size.
 
     Args:
-        study: the study.
+        task: the task.
         asked: the sizes the user named, None for all that have a surrogate of this case.
 
     Raises:
         InputError: an asked size has no surrogate, or there is none at all.
     """
-    found = {n: (one, one.best) for n, one in tuned_by_size(study).items() if one.best is not None}
+    found = {n: (one, one.best) for n, one in tuned_by_size(task).items() if one.best is not None}
     missing = [n_train for n_train in asked or () if n_train not in found]
     if missing or not found:
-        of, sizes = study.label, "".join(f" {n_train}" for n_train in missing)
+        of, sizes = task.label, "".join(f" {n_train}" for n_train in missing)
         there = f"there are {', '.join(map(str, found))}" if found else "there are none"
         raise InputError(
             f"{of} has no surrogate of this case{f' for n_train ={sizes}' if sizes else ''}, {there}; "
-            f"type: studies tune {study.command}{f' --n-train{sizes}' if sizes else ''}"
+            f"type: studies tune {task.command}{f' --n-train{sizes}' if sizes else ''}"
         )
     return {n: found[n] for n in sorted(set(asked or found))}
 
 
-def best_surrogate(study: Study, n_train: int) -> Surrogate:
+def best_surrogate(task: Task, n_train: int) -> Surrogate:
     """Load the best surrogate of a size from its MLflow run, on the CPU wherever it was trained.
 
     Raises:
         InputError: there is none of this case, or its weights cannot be read here.
     """
-    _, best = tuned_with_best(study, [n_train])[n_train]
-    return load_surrogate(run_store(study.paths), best.run_id)
+    _, best = tuned_with_best(task, [n_train])[n_train]
+    return load_surrogate(run_store(task.paths), best.run_id)
 
 
-def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outcome[Calibration]:
+def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome[Calibration]:
     """Calibrate with the stored surrogate of one training-set size.
 
     Args:
-        study: the study.
+        task: the task.
         n_train: training-set size.
         again: calibrate though it is finished.
     """
-    profile, (tuned, best) = study.profile, tuned_with_best(study, [n_train])[n_train]
+    profile, (tuned, best) = task.profile, tuned_with_best(task, [n_train])[n_train]
     inputs = {
-        **case_inputs(study.case),
+        **case_inputs(task.case),
         "surrogate": best.weights_sha256,
         "screening": asdict(profile.screening),
         "polish": asdict(profile.polish),
         "n_validation": profile.data.n_validation,
         "n_test": profile.data.n_test,
         "seed": profile.seed,
-        **validation_inputs(study.case),
+        **validation_inputs(task.case),
     }
     what = "differential evolution on the surrogate, then LS-TRF on the FMU"
     made = {"kind": "calibration", "n_train": n_train, "surrogate_run": best.run_id}
-    stage = Stage(study, f"calibrate-{size_name(n_train)}", what, inputs, Calibration, made)
+    stage = Stage(task, f"calibrate-{size_name(n_train)}", what, inputs, Calibration, made)
     origin = {
         "study": tuned.spec.name,
         "trial": best.number,
@@ -87,28 +89,28 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         "weights_sha256": best.weights_sha256,
     }
     return stage.once(
-        lambda: calibrate(study, best_surrogate(study, n_train), n_train, origin),
+        lambda: calibrate(task, best_surrogate(task, n_train), n_train, origin),
         again=again,
         log=log_calibration,
     )
 
 
 def calibrate(
-    study: Study, surrogate: Surrogate, n_train: int, origin: Mapping[str, Any] | None = None
+    task: Task, surrogate: Surrogate, n_train: int, origin: Mapping[str, Any] | None = None
 ) -> Calibration:
     """Calibrate and keep nothing but the simulations.
 
     Args:
-        study: the study.
+        task: the task.
         surrogate: what the box is screened with.
         n_train: size of its training set.
         origin: of which trial it is, by the fields `SURROGATE_FIELDS` of `Screened`; None leaves it open.
     """
-    case, profile = study.case, study.profile
+    case, profile = task.case, task.profile
     measurement, space = case.measurement, case.parameter_space
-    with open_physical_model(study) as physical, study.console.bars() as bars:
+    with open_physical_model(task) as physical, task.console.bars() as bars:
         result = calibrate_two_phase(
-            SurrogateModel(surrogate, space, measurement.output_names, measurement.time, n_jobs=study.n_jobs),
+            SurrogateModel(surrogate, space, measurement.output_names, measurement.time, n_jobs=task.n_jobs),
             physical,
             measurement,
             screening=DifferentialEvolution(**asdict(profile.screening)),
@@ -121,10 +123,10 @@ def calibrate(
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
         repeated = repeat_best(physical, result.polish.theta, result.ledger.total_paper)
-    say_reused(study, f"calibrate-{size_name(n_train)}", physical)
+    say_reused(task, f"calibrate-{size_name(n_train)}", physical)
     screened = result.screened
     return calibration_at(
-        study,
+        task,
         physical,
         result.polish,
         repeated=repeated,

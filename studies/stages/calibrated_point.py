@@ -17,17 +17,16 @@ from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import AdaptiveResult
 from studies.calibration.largest_samples import FAR
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import PolishResult
 from studies.calibration.prior import Prior
 from studies.calibration.recorder import History
+from studies.calibration.search.adaptive import AdaptiveResult
+from studies.calibration.uncertainty.identifiability import judged_slopes
+from studies.calibration.uncertainty.noise import NoiseKind, noise_of
 from studies.physical_model import open_physical_model
-from studies.report.wording import difference_unit, moment_of
-from studies.stages.knowledge import prior_found, prior_of
-from studies.stages.pipeline import Study
-from studies.stages.stage_results import (
+from studies.results.stage_results import (
     Calibration,
     Determined,
     Fit,
@@ -36,15 +35,16 @@ from studies.stages.stage_results import (
     Validated,
     ValidatedPoint,
 )
-from studies.uncertainty.identifiability import judged_slopes
-from studies.uncertainty.noise import NoiseKind, noise_of
+from studies.stages.knowledge import prior_found, prior_of
+from studies.task import Task
+from studies.words.wording import difference_unit, moment_of
 
 QUICK_S, ENOUGH_CALLS = 1.0, 10
 """The best simulation is repeated where it is quick, or one of so many that one more costs little."""
 
 
 def calibration_at(
-    study: Study,
+    task: Task,
     physical: StoredModel,
     found: AdaptiveResult | PolishResult,
     *,
@@ -56,7 +56,7 @@ def calibration_at(
     """Return a calibration with all that follows from its point, the validation as well.
 
     Args:
-        study: The study.
+        task: The study.
         physical: The model that was asked.
         found: The point.
         repeated: How the best simulation was repeated.
@@ -64,10 +64,10 @@ def calibration_at(
         history: Best error over model calls.
         more: The other fields of the calibration.
     """
-    case, names, prior, y = study.case, study.case.parameter_space.names, prior_of(study.case), found.y
+    case, names, prior, y = task.case, task.case.parameter_space.names, prior_of(task.case), found.y
     calibration = Calibration(
         case=case.name,
-        seed=study.profile.seed,
+        seed=task.profile.seed,
         theta=case.parameter_space.named(found.theta),
         units={one.name: one.unit for one in case.parameter_space.parameters},
         output_unit=case.outputs[0].unit,
@@ -91,7 +91,7 @@ def calibration_at(
         has_own_processes=repeated.has_own_processes,
         **more,
     )
-    return calibration if case.validation is None else _with_validation(study, calibration, case.validation)
+    return calibration if case.validation is None else _with_validation(task, calibration, case.validation)
 
 
 @dataclass(frozen=True)
@@ -235,14 +235,14 @@ def validate(
     return Validated(case.validation.window_d, found), answer
 
 
-def _with_validation(study: Study, found: Calibration, period: Case) -> Calibration:
+def _with_validation(task: Task, found: Calibration, period: Case) -> Calibration:
     """Return a calibration with how it does on the validation period."""
-    points = _estimates(study.case)
+    points = _estimates(task.case)
     if found.screening is not None:
         points["screened"] = np.array(list(found.screening.theta.values()))
     points[found.final] = found.point
-    with open_physical_model(study, case=period) as model:
-        validated, answer = validate(study.case, model, points)
+    with open_physical_model(task, case=period) as model:
+        validated, answer = validate(task.case, model, points)
     time = period.measurement.from_first_sample.time
     y = dict(zip(points, answer.y[:, -len(time) :], strict=True))
     return replace(

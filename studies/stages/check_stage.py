@@ -1,31 +1,33 @@
 """The examination of a case as a stage: done once per case, unless asked for."""
 
 from studies.doctor import Diagnosis, examine
+from studies.results.outcome import Outcome
 from studies.stages.finished import stored
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Stage, Study
+from studies.stages.pipeline import Stage
+from studies.task import Task
 
 
-def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> Outcome[Diagnosis]:
+def check_stage(task: Task, *, again: bool = False, is_thorough: bool = False) -> Outcome[Diagnosis]:
     """Examine the case unless it was found sound before, or again."""
     inputs = {
-        "case": study.case.digest,
-        "measurement": study.case.measurement.digest,
-        **declared_inputs(study.case),
+        "case": task.case.digest,
+        "measurement": task.case.measurement.digest,
+        **declared_inputs(task.case),
     }
-    stage = Stage(study, "check", f"examining {study.label}", inputs, Diagnosis)
+    stage = Stage(task, "check", f"examining {task.label}", inputs, Diagnosis)
     return stage.once(
-        lambda: examine(study, is_thorough=is_thorough), again=again, is_kept=lambda found: found.is_sound
+        lambda: examine(task, is_thorough=is_thorough), again=again, is_kept=lambda found: found.is_sound
     )
 
 
-def found_of_the_step(study: Study) -> str | None:
+def found_of_the_step(task: Task) -> str | None:
     """Return what the last examination of this case found of its communication step.
 
     Returns:
         "" where it found nothing wrong, None where the case was not examined.
     """
-    before = stored(study, "check", Diagnosis)
+    before = stored(task, "check", Diagnosis)
     if before is None:
         return None
     for one in before.findings:

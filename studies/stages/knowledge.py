@@ -7,7 +7,7 @@ from typing import Any
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from studies.calibration.prior import Prior
-from studies.stages.stage_results import Held, PriorFound
+from studies.results.stage_results import Held, PriorFound
 
 
 def prior_of(case: Case) -> Prior | None:

@@ -11,47 +11,48 @@ from optuna.trial import FrozenTrial
 from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
-from studies.report.tables import tuning_table
-from studies.report.wording import count, difference_unit, quantity
-from studies.row_set import RowSet
-from studies.stages.pipeline import Outcome, StageError, Study, digest_of
+from studies.reporting.tables import tuning_table
+from studies.results.declaration import Declaration
+from studies.results.outcome import Outcome, digest_of
+from studies.results.row_set import RowSet
+from studies.results.stage_results import SimulatedSets, Tuned
+from studies.results.trials import TunedStudy
 from studies.stages.simulate_stage import set_files
-from studies.stages.stage_results import SimulatedSets, Tuned
+from studies.task import StageError, Task
 from studies.tuning.attempts import places
-from studies.tuning.declaration import Declaration
 from studies.tuning.sampler import make_pruner, make_sampler
-from studies.tuning.study_results import TunedStudy
 from studies.tuning.tune_studies import closed_studies, tune
+from studies.words.wording import count, difference_unit, quantity
 
 
-def require_tuning(study: Study) -> None:
+def require_tuning(task: Task) -> None:
     """Refuse a sampler, pruner or device that does not exist, before a simulation is spent.
 
     Raises:
         InputError: there is no such sampler, pruner or device.
     """
-    make_sampler(study.profile.tuning.sampler, study.profile.seed)
-    make_pruner(study.profile.tuning.pruner)
-    if study.profile.tuning.device == "cuda":
+    make_sampler(task.profile.tuning.sampler, task.profile.seed)
+    make_pruner(task.profile.tuning.pruner)
+    if task.profile.tuning.device == "cuda":
         try:
             resolve_device("cuda")
         except ValueError as error:
-            raise InputError(f"profile {study.profile.name}: tuning.device: {error}") from None
+            raise InputError(f"profile {task.profile.name}: tuning.device: {error}") from None
 
 
-def tune_stage(study: Study, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
+def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
     """Bring the study of each training-set size to its trials; Optuna knows what is finished."""
-    budget, sizes = study.profile.tuning, study.profile.data.n_train
+    budget, sizes = task.profile.tuning, task.profile.data.n_train
     started_s = time.perf_counter()
-    specs = declarations(study, simulated.result)
-    found = closed_studies(specs, study.paths, budget.n_trials)
+    specs = declarations(task, simulated.result)
+    found = closed_studies(specs, task.paths, budget.n_trials)
     if found is not None:
         n = sum(one.n_ended for one in found)
-        study.console.say(f"tune: finished before, {count(n, 'trial')} reused")
+        task.console.say(f"tune: finished before, {count(n, 'trial')} reused")
         return _outcome(specs, found, reused=True, wall_s=sum(one.wall_s for one in found))
     what = f"{count(budget.n_trials, 'trial')} for each n_train of {', '.join(map(str, sizes))}"
-    with study.console.stage("tune", what), study.console.bars() as bars:
-        unit = difference_unit(study.case.outputs[0].unit)
+    with task.console.stage("tune", what), task.console.bars() as bars:
+        unit = difference_unit(task.case.outputs[0].unit)
 
         def show(spec: Declaration, trials: Sequence[FrozenTrial]) -> None:
             done, total, best = _progress(spec, trials, budget.n_trials)
@@ -60,22 +61,22 @@ def tune_stage(study: Study, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned
 
         found = tune(
             specs,
-            paths=study.paths,
+            paths=task.paths,
             n_trials=budget.n_trials,
-            n_jobs=study.n_jobs,
+            n_jobs=task.n_jobs,
             n_parallel=budget.n_parallel,
-            until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
-            provenance=study.provenance(kind="training"),
+            until_s=None if task.max_hours is None else time.time() + 3600.0 * task.max_hours,
+            provenance=task.provenance(kind="training"),
             on_trials=show,
         )
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]
     n_done, n_all = sum(one.n_ended for one in tuned), budget.n_trials * len(sizes)
-    if study.max_hours is not None and n_done < n_all:
+    if task.max_hours is not None and n_done < n_all:
         ended = f"tune: --max-hours ended it after {n_done} of {n_all} trials; the same command goes on"
         if without:
             raise StageError(f"{ended}; n_train = {', '.join(map(str, without))} has no complete trial yet")
-        study.console.say(ended)
+        task.console.say(ended)
     if without:
         raise InputError(
             f"no trial of n_train = {without[0]} was completed; `studies status` counts them, "
@@ -84,44 +85,44 @@ def tune_stage(study: Study, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned
     return _outcome(specs, found, reused=False, wall_s=time.perf_counter() - started_s)
 
 
-def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
+def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
     """Return the study of each training-set size, and the baseline of each beside it.
 
     Args:
-        study: the study.
+        task: the task.
         simulated: the sets.
     """
-    budget, space = study.profile.tuning, study.case.parameter_space
-    sets = {name: RowSet.load(file).read() for name, file in set_files(study, simulated).items()}
+    budget, space = task.profile.tuning, task.case.parameter_space
+    sets = {name: RowSet.load(file).read() for name, file in set_files(task, simulated).items()}
     given = {"max_epochs": budget.max_epochs, "patience": budget.patience}
     longer = {name: value for name, value in given.items() if value is not None}
     found = []
-    for n_train in study.profile.data.n_train:
+    for n_train in task.profile.data.n_train:
         digests = {name: sets[name].digest for name in ("validation", "test")}
         digests["train"] = sets["train"].take(np.arange(n_train)).digest
         spec = Declaration(
-            label=study.label,
+            label=task.label,
             n_train=n_train,
-            case_name=study.case.name,
+            case_name=task.case.name,
             surrogate=budget.surrogate,
             settings=_settings(budget.surrogate, longer),
             search={name: one.to_dict() for name, one in budget.space.items()},
             sampler=budget.sampler,
             pruner=budget.pruner,
             enqueue=tuple(dict(point) for point in budget.enqueue),
-            seed=study.profile.seed,
+            seed=task.profile.seed,
             parameter_names=space.names,
             lower=tuple(space.lower.tolist()),
             upper=tuple(space.upper.tolist()),
             is_log=tuple(space.is_log.tolist()),
             output_names=tuple(sets["train"].output_names),
-            output_unit=study.case.outputs[0].unit,
-            output_scales=tuple(study.case.measurement.error_scales.tolist()),
+            output_unit=task.case.outputs[0].unit,
+            output_scales=tuple(task.case.measurement.error_scales.tolist()),
             files=simulated.files,
-            digests={"case": study.case.digest, "fmu": study.case.fmu.sha256, **digests},
+            digests={"case": task.case.digest, "fmu": task.case.fmu.sha256, **digests},
             device=budget.device,
             max_trial_s=budget.max_trial_s,
-            note=study.case.note,
+            note=task.case.note,
         )
         found.append(spec)
         if budget.baseline and budget.surrogate != "pca-gp":
@@ -147,7 +148,7 @@ def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:
 def _progress(
     spec: Declaration, trials: Sequence[FrozenTrial], n_trials: int
 ) -> tuple[int, int, float | None]:
-    """Return what is done of a study, what there is to do, and its best error so far."""
+    """Return what is done of a task, what there is to do, and its best error so far."""
     latest = places(trials)
     total = max(1 if spec.is_baseline else n_trials, len(latest))
     done = sum(trial.state.is_finished() for trial in latest)
@@ -163,7 +164,7 @@ def _outcome(
     return Outcome("tune", tuned, digest, reused=reused, wall_s=wall_s)
 
 
-def show_tuning(study: Study, found: Tuned) -> None:
+def show_tuning(task: Task, found: Tuned) -> None:
     """Print the best surrogate of each size."""
     if (table := tuning_table(found.studies)) is not None:
-        study.console.show([table])
+        task.console.show([table])

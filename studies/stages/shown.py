@@ -3,39 +3,40 @@
 import math
 from collections.abc import Sequence
 
-from studies.calibration.misfit_threshold import SENSOR_UNCERTAINTIES
-from studies.report.sentences import calibration_sentences, headline, uncertainty_sentences
-from studies.report.tables import (
+from studies.calibration.search.misfit_threshold import SENSOR_UNCERTAINTIES
+from studies.reporting.sentences import calibration_sentences, headline, uncertainty_sentences
+from studies.reporting.tables import (
     best_of,
     calibrations_table,
     intervals_table,
     parameters_table,
     validation_table,
 )
-from studies.report.wording import count, difference_unit, quantity, square_of
+from studies.results.outcome import Outcome
+from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.check_stage import found_of_the_step
-from studies.stages.pipeline import Outcome, Study
-from studies.stages.stage_results import Calibration, Uncertainty
+from studies.task import Task
+from studies.words.wording import count, difference_unit, quantity, square_of
 
 
-def show_calibrations(study: Study, outcomes: Sequence[Outcome[Calibration]]) -> None:
+def show_calibrations(task: Task, outcomes: Sequence[Outcome[Calibration]]) -> None:
     """Print a row per training-set size, as the paper's Table 4, and what the least error means."""
-    case, console = study.case, study.console
+    case, console = task.case, task.console
     best = best_of(tuple(outcomes))
     assert best is not None, "at least one"
     found = best.result
     if not found.is_adaptive:
         console.show([calibrations_table(case, tuple(outcomes))])
     which = "" if found.is_adaptive else f", {found.shown_name}"
-    console.result(f"{study.label}{which}: {headline(case, best)}")
+    console.result(f"{task.label}{which}: {headline(case, best)}")
     for one in outcomes:
-        _warn_failed(study, one.result)
+        _warn_failed(task, one.result)
     if found.left:
         console.result(f"Stopped, not converged: {found.left}")
     for line in calibration_sentences(case, found):
         console.result(line)
     if found.is_adaptive:
-        _show_search(study, found)
+        _show_search(task, found)
     for one in outcomes:
         if (table := validation_table(case, one.result)) is not None:
             console.show([table])
@@ -44,32 +45,32 @@ def show_calibrations(study: Study, outcomes: Sequence[Outcome[Calibration]]) ->
     if case.note:
         console.result(f"Note: {case.note}")
     if found.is_adaptive:
-        console.result(f"Pictures: studies report {study.command}")
+        console.result(f"Pictures: studies report {task.command}")
     which = "" if found.is_adaptive else f" --n-train {found.n_train}"
-    console.result(f"How sure it is: studies uncertainty {study.command}{which}")
+    console.result(f"How sure it is: studies uncertainty {task.command}{which}")
 
 
-def _show_search(study: Study, found: Calibration) -> None:
+def _show_search(task: Task, found: Calibration) -> None:
     """Say whether an adaptive calibration is an answer, and when it reached what is known."""
-    threshold, unit = found.settings["misfit_threshold"], square_of(study.case.outputs[0].unit)
+    threshold, unit = found.settings["misfit_threshold"], square_of(task.case.outputs[0].unit)
     if isinstance(threshold, float) and found.mse > threshold:
         many = f"{SENSOR_UNCERTAINTIES:g} times the sensor's uncertainty"
-        study.console.result(f"That is more than {many}: {_misfit(study, found)}")
-    for known in study.case.references:
+        task.console.result(f"That is more than {many}: {_misfit(task, found)}")
+    for known in task.case.references:
         if known.is_target:
             reached = found.history.calls_to(known.mse)
             calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
-            study.console.result(f"{found.error_name} {quantity(known.mse, unit)} ({known.label}): {calls}")
+            task.console.result(f"{found.error_name} {quantity(known.mse, unit)} ({known.label}): {calls}")
 
 
-def _misfit(study: Study, found: Calibration) -> str:
+def _misfit(task: Task, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
-    of_the_step, lacks = found_of_the_step(study), "the model lacks something"
-    if any(one.loss for one in study.case.outputs):
+    of_the_step, lacks = found_of_the_step(task), "the model lacks something"
+    if any(one.loss for one in task.case.outputs):
         lacks = f"outliers weigh so much, or {lacks}"
     if of_the_step:
         lacks = f"studies check found that {of_the_step}; else {lacks}"
-    elif of_the_step is None and study.case.scenario.inputs_at_edges is None:
+    elif of_the_step is None and task.case.scenario.inputs_at_edges is None:
         # With inputs at the edges outputs see them in time.
         lacks += ", or outputs lag behind inputs by a part of the communication step (studies check tests it)"
     target, most = found.settings["target_mse"], found.settings["max_calls"]
@@ -82,21 +83,21 @@ def _misfit(study: Study, found: Calibration) -> str:
     return f"there may be a deeper valley, or {lacks}; try {more}another --seed, or studies run"
 
 
-def show_uncertainty(study: Study, found: Uncertainty) -> None:
+def show_uncertainty(task: Task, found: Uncertainty) -> None:
     """Print intervals, and what the data determine and what not."""
-    case = study.case
-    study.console.show([intervals_table(case.parameter_space, found)])
-    _warn_failed(study, found)
+    case = task.case
+    task.console.show([intervals_table(case.parameter_space, found)])
+    _warn_failed(task, found)
     for sentence in uncertainty_sentences(found, difference_unit(case.outputs[0].unit)):
-        study.console.result(sentence)
+        task.console.result(sentence)
     if case.note:
-        study.console.result(f"Note: {case.note}")
-    study.console.result(f"Pictures: studies report {study.command}")
+        task.console.result(f"Note: {case.note}")
+    task.console.result(f"Pictures: studies report {task.command}")
 
 
-def _warn_failed(study: Study, found: Calibration | Uncertainty) -> None:
+def _warn_failed(task: Task, found: Calibration | Uncertainty) -> None:
     if found.n_failed:
-        study.console.warn(
+        task.console.warn(
             f"{count(found.n_failed, 'simulation')} failed, the first one: {found.first_failure} "
             "(--retry-failed asks again)"
         )

@@ -8,16 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from studies.report.drawing import Figure, write_picture
-from studies.report.figures_calibration import band_figure, calibration_figure, calls_figure, interval_figure
-from studies.sobol import SobolIndices
-from studies.stages.pipeline import Outcome, Study
-from studies.stages.saved import plain
-from studies.stages.stage_results import Calibration, Prediction, Reported, Uncertainty
+from studies.calibration.sobol import SobolIndices
+from studies.reporting.drawing import Figure, write_picture
+from studies.reporting.figures_calibration import (
+    band_figure,
+    calibration_figure,
+    calls_figure,
+    interval_figure,
+)
+from studies.results.outcome import Outcome
+from studies.results.saved import plain
+from studies.results.stage_results import Calibration, Prediction, Reported, Uncertainty
+from studies.task import Task
 from studies.tracking.origin import environment
 
 
-def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
+def log_calibration(task: Task, outcome: Outcome[Calibration]) -> None:
     """Log a finished calibration, with its figures."""
     found = outcome.result
     tags: dict[str, Any] = {"method": found.method, "stop_reason": found.stop_reason}
@@ -44,7 +50,7 @@ def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
         }
     curve = zip(found.history_calls.tolist(), found.history_mse.tolist(), strict=True)
     _log(
-        study,
+        task,
         outcome,
         "calibration",
         name=f"{outcome.name} calibration",
@@ -53,18 +59,18 @@ def log_calibration(study: Study, outcome: Outcome[Calibration]) -> None:
         curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
         tags=tags,
         pictures={
-            "calibration": calibration_figure(study.case, found),
-            "convergence": calls_figure(study.case, found),
+            "calibration": calibration_figure(task.case, found),
+            "convergence": calls_figure(task.case, found),
         },
     )
 
 
-def log_uncertainty(study: Study, outcome: Outcome[Uncertainty]) -> None:
+def log_uncertainty(task: Task, outcome: Outcome[Uncertainty]) -> None:
     """Log a finished uncertainty, with its figures."""
     found = outcome.result
     known = Counter(one.known for one in found.parameters.values())
     _log(
-        study,
+        task,
         outcome,
         "uncertainty",
         name=f"{outcome.name} uncertainty",
@@ -82,13 +88,13 @@ def log_uncertainty(study: Study, outcome: Outcome[Uncertainty]) -> None:
         },
         tags={"calibration": found.calibration},
         pictures={
-            "bands": band_figure(study.case, found),
-            "intervals": interval_figure(study.case.parameter_space, found),
+            "bands": band_figure(task.case, found),
+            "intervals": interval_figure(task.case.parameter_space, found),
         },
     )
 
 
-def log_sensitivity(study: Study, outcome: Outcome[SobolIndices]) -> None:
+def log_sensitivity(task: Task, outcome: Outcome[SobolIndices]) -> None:
     """Log Sobol indices, averaged over time."""
     found = outcome.result
     orders = ("first_order", "total_order")
@@ -97,16 +103,16 @@ def log_sensitivity(study: Study, outcome: Outcome[SobolIndices]) -> None:
         for name, means in found.mean.items()
         for order, value in zip(orders, means, strict=True)
     }
-    params = {"n_base": found.n_base, "seed": study.profile.seed}
-    _log(study, outcome, "sensitivity", params=params, metrics=metrics)
+    params = {"n_base": found.n_base, "seed": task.profile.seed}
+    _log(task, outcome, "sensitivity", params=params, metrics=metrics)
 
 
-def log_prediction(study: Study, outcome: Outcome[Prediction]) -> None:
+def log_prediction(task: Task, outcome: Outcome[Prediction]) -> None:
     """Log a calibrated model with other inputs: its table and its picture."""
-    found, root = outcome.result, study.paths.root
+    found, root = outcome.result, task.paths.root
     table = root / found.table
     _log(
-        study,
+        task,
         outcome,
         "prediction",
         params={"inputs": found.inputs},
@@ -117,13 +123,13 @@ def log_prediction(study: Study, outcome: Outcome[Prediction]) -> None:
     )
 
 
-def log_report(study: Study, outcome: Outcome[Reported]) -> None:
+def log_report(task: Task, outcome: Outcome[Reported]) -> None:
     """Log a report: its page, which holds its figures."""
-    _log(study, outcome, "report", artifacts=[study.paths.root / outcome.result.index])
+    _log(task, outcome, "report", artifacts=[task.paths.root / outcome.result.index])
 
 
 def _log(
-    study: Study,
+    task: Task,
     outcome: Outcome[Any],
     kind: str,
     *,
@@ -137,15 +143,15 @@ def _log(
     # MLflow takes seconds to import, which a stage that is finished does without.
     from studies.tracking.runs import log_stage
 
-    arrays = study.results / f"{outcome.stage}.npz"
+    arrays = task.results / f"{outcome.stage}.npz"
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         drawn = [
-            write_picture(figure, Path(scratch) / f"{picture}.svg", footnote=study.label)
+            write_picture(figure, Path(scratch) / f"{picture}.svg", footnote=task.label)
             for picture, figure in (pictures or {}).items()
         ]
         log_stage(
-            study,
+            task,
             kind,
             name or outcome.stage,
             key=outcome.digest,

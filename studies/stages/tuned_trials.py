@@ -1,18 +1,19 @@
 """What tuning came to, as the records that figures and tables are made of."""
 
-from studies.report.figures_model import TrialsRecord
-from studies.stages.pipeline import Study
-from studies.tuning.study_results import TunedStudy, latest_studies, read_studies
+from studies.reporting.figures_model import TrialsRecord
+from studies.results.trials import TunedStudy
+from studies.task import Task
+from studies.tuning.study_results import latest_studies, read_studies
 
 
-def tuned_by_size(study: Study, *, baseline: bool = False) -> dict[int, TunedStudy]:
+def tuned_by_size(task: Task, *, baseline: bool = False) -> dict[int, TunedStudy]:
     """Return the latest study of each training-set size, of this case and label.
 
     Args:
-        study: the study.
+        task: the task.
         baseline: the PCA + GP that was fitted for comparison instead.
     """
-    latest = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
+    latest = latest_studies(read_studies(task.paths, label=task.label), task.case.digest)
     return {n: one for (n, is_baseline), one in sorted(latest.items()) if is_baseline == baseline}
 
 

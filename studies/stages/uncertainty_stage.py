@@ -12,26 +12,36 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.coefficient import LEAST_TO_LEARN
-from studies.calibration.first_design import first_points
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.first_design import first_points
+from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN
+from studies.calibration.uncertainty.assess import STEP, Assessment, assess, particles_for, sampling_within
+from studies.calibration.uncertainty.bands import bands_of, noise_of_outputs, share_within
+from studies.calibration.uncertainty.density import Posterior
+from studies.calibration.uncertainty.findings import LEVEL, compensations, knowledge
+from studies.calibration.uncertainty.noise import NoiseKind, noise_of
+from studies.calibration.uncertainty.rows import informative_rows
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
-from studies.report.sentences import FITS_BETTER
-from studies.report.wording import count, listed
+from studies.reporting.sentences import FITS_BETTER
+from studies.results.outcome import Outcome
+from studies.results.stage_results import (
+    ADAPTIVE,
+    Calibration,
+    Cost,
+    Covered,
+    Known,
+    SampleFound,
+    Uncertainty,
+)
 from studies.stages.adaptive_stage import learned_ode_of
 from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
-from studies.stages.pipeline import Outcome, Stage, StageError, Study
-from studies.stages.stage_results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
+from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_uncertainty
 from studies.stages.warm_start import WarmStart
-from studies.uncertainty.assess import STEP, Assessment, assess, particles_for, sampling_within
-from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
-from studies.uncertainty.density import Posterior
-from studies.uncertainty.findings import LEVEL, compensations, knowledge
-from studies.uncertainty.noise import NoiseKind, noise_of
-from studies.uncertainty.rows import informative_rows
+from studies.task import StageError, Task
+from studies.words.wording import count, listed
 
 LEAST_BUDGET, BUDGET_PER_PARAMETER = 100, 20
 """Most calls unless others are asked for; a sample that is good earlier ends earlier."""
@@ -45,13 +55,11 @@ def usual_calls(n_parameters: int) -> int:
     return max(LEAST_BUDGET, BUDGET_PER_PARAMETER * n_parameters)
 
 
-def calibration_to_judge(
-    study: Study, method: str | None, sizes: Sequence[int] | None
-) -> Outcome[Calibration]:
+def calibration_to_judge(task: Task, method: str | None, sizes: Sequence[int] | None) -> Outcome[Calibration]:
     """Return the calibration that was asked for: the adaptive one, else the best of the paper's.
 
     Args:
-        study: The study.
+        task: The study.
         method: "paper" or "adaptive", None for either.
         sizes: Training-set sizes that were named, at most one; None for any.
 
@@ -60,7 +68,7 @@ def calibration_to_judge(
     """
     if sizes and (method == ADAPTIVE or len(sizes) > 1):
         raise InputError("--n-train names one calibration of --method paper; give one size, or leave it away")
-    every = list(stored_calibrations(study))
+    every = list(stored_calibrations(task))
     fitting = [
         one
         for one in every
@@ -73,13 +81,13 @@ def calibration_to_judge(
     how = f" --n-train {sizes[0]}" if sizes else f" --method {method}" if method else ""
     there = listed(one.name for one in every) or "none of this window, measurement, scale and prior"
     raise InputError(
-        f"{study.label} has no calibration{how and f' of{how}'}, there is {there}; type: studies calibrate "
-        f"{study.command}{how}"
+        f"{task.label} has no calibration{how and f' of{how}'}, there is {there}; type: studies calibrate "
+        f"{task.command}{how}"
     )
 
 
 def uncertainty_stage(
-    study: Study,
+    task: Task,
     calibration: Outcome[Calibration],
     *,
     noise: NoiseKind,
@@ -89,28 +97,28 @@ def uncertainty_stage(
     """Say how sure a stored calibration is.
 
     Args:
-        study: The study.
+        task: The study.
         calibration: The calibration.
         noise: Model of the noise.
         max_calls: Most rows that may be asked of the model.
         again: Do it though it is finished.
     """
-    case, name = study.case, calibration.name
+    case, name = task.case, calibration.name
     inputs = {
         **case_inputs(case),
         "theta": calibration.result.theta,
         "settings": {"noise": noise, "max_calls": max_calls},
         "sampling": asdict(sampling_within(max_calls, case.parameter_space.n_parameters)),
         "step": STEP,
-        "seed": study.profile.seed,
+        "seed": task.profile.seed,
         **(sensor_inputs(case) if noise == "sensor" else {}),
         **({"state_equations": True} if calibration.result.believes_equations else {}),
     }
     what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
-    stage = Stage(study, f"uncertainty-{name}", what, inputs, Uncertainty, {"kind": "uncertainty"})
+    stage = Stage(task, f"uncertainty-{name}", what, inputs, Uncertainty, {"kind": "uncertainty"})
     start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
     return stage.once(
-        lambda: _judge(study, calibration, start, noise, max_calls),
+        lambda: _judge(task, calibration, start, noise, max_calls),
         again=again,
         files=[start.file],
         log=log_uncertainty,
@@ -118,26 +126,26 @@ def uncertainty_stage(
 
 
 def _judge(
-    study: Study, calibration: Outcome[Calibration], start: WarmStart, kind: NoiseKind, max_calls: int
+    task: Task, calibration: Outcome[Calibration], start: WarmStart, kind: NoiseKind, max_calls: int
 ) -> Uncertainty:
     """Say how sure a calibrated point is, and keep nothing but the simulations."""
-    case, theta, prior = study.case, calibration.result.point, prior_of(study.case)
+    case, theta, prior = task.case, calibration.result.point, prior_of(task.case)
     measurement, n_parameters = case.measurement, case.parameter_space.n_parameters
     has_equations = calibration.result.believes_equations
-    opened = open_watched_model(study) if has_equations else open_physical_model(study)
-    with opened as physical, study.console.bars() as bars:
+    opened = open_watched_model(task) if has_equations else open_physical_model(task)
+    with opened as physical, task.console.bars() as bars:
         problem = CalibrationProblem(physical, measurement, prior, case.layout)
         y = physical.simulate(theta[None]).y[0]
         noise = noise_of(kind, measurement, y, n_parameters)
         posterior = Posterior(noise, prior)
         rows = start(physical, problem, lambda found: posterior.at(found.u, found.mse))
         known = rows.judged(physical, problem)
-        learned_ode = learned_ode_of(study.case, physical, problem)
+        learned_ode = learned_ode_of(task.case, physical, problem)
         if learned_ode is not None and known.n:
             if known.n < LEAST_TO_LEARN:
                 # What the calibration simulated in single experiments is stored there.
                 n_first = Adaptive.design_size(problem.n_acting)
-                rng = np.random.default_rng(study.profile.seed)
+                rng = np.random.default_rng(task.profile.seed)
                 learned_ode.learn_alone(first_points(n_first, n_parameters, rng))
             learned_ode.note(known)
         if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):
@@ -154,16 +162,16 @@ def _judge(
             noise=noise,
             known=known,
             sampling=sampling,
-            seed=study.profile.seed,
+            seed=task.profile.seed,
             emulator=emulator,
             on_phase=bars,
         )
     if not np.isfinite(found.sample.drawn.mse).any():
-        raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
+        raise StageError(f"no simulation of the sample succeeded; type: studies check {task.command}")
     # The point is asked first, to know the noise, and then among the stored rows once more.
     n_repeated = int(np.all(rows.theta == theta, axis=1).sum())
-    say_reused(study, f"uncertainty-{calibration.name}", physical, n_repeated=n_repeated)
-    return _result(problem, found, physical, len(rows.theta), calibration.name, study.profile.seed, max_calls)
+    say_reused(task, f"uncertainty-{calibration.name}", physical, n_repeated=n_repeated)
+    return _result(problem, found, physical, len(rows.theta), calibration.name, task.profile.seed, max_calls)
 
 
 def _result(

@@ -11,7 +11,7 @@ from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.physical_model import StoredWatchedModel
-from studies.stages.saved import read_arrays, write_arrays
+from studies.results.saved import read_arrays, write_arrays
 
 Worth = Callable[[Evaluation], FloatArray]
 """How much rows are worth, the best the most. Shape (n,)."""

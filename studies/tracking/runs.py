@@ -24,16 +24,16 @@ from simulation.foreign_text import without_pictures
 from simulation.pool.safe_start import environment_restored
 from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
-from studies.report.wording import difference_unit
+from studies.results.declaration import ALIAS, Declaration
 from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow, storing_files
-from studies.tuning.declaration import ALIAS, Declaration
+from studies.words.wording import difference_unit
 
 if TYPE_CHECKING:
     from pelsvae.surrogate import Surrogate
-    from studies.stages.pipeline import Study
-    from studies.tuning.study_results import TrialView
+    from studies.results.trials import TrialView
+    from studies.task import Task
 
 
 Run: TypeAlias = entities.Run
@@ -163,7 +163,7 @@ def run_store(paths: ProjectPaths) -> RunStore:
 
 
 def log_stage(
-    study: "Study",
+    task: "Task",
     kind: str,
     name: str,
     *,
@@ -183,7 +183,7 @@ def log_stage(
     A run that a killed command left unfinished is ended as KILLED.
 
     Args:
-        study: the study; its label is MLflow's experiment.
+        task: the task; its label is MLflow's experiment.
         kind: what it is, for example "calibration" or "sensitivity".
         name: name a user reads, for example "n0064 calibration".
         key: digest of the stage's inputs; a stage logged before with the same key and metrics is not logged
@@ -198,16 +198,16 @@ def log_stage(
         artifacts: other files.
         record: what makes it again, kept as `provenance.json`; nothing where nothing does.
     """
-    runs, now_s, case = run_store(study.paths), time.time(), study.case
+    runs, now_s, case = run_store(task.paths), time.time(), task.case
     numbers = {metric_name(k): v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
-    for run in runs.find(study.label, {"stage_key": key, "role": kind}):
+    for run in runs.find(task.label, {"stage_key": key, "role": kind}):
         if run.info.status == "FINISHED" and all(run.data.metrics.get(k) == v for k, v in numbers.items()):
             return
         if run.info.status == "RUNNING":
             runs.end(run.info.run_id, "KILLED")
     about = {"role": kind, "stage_key": key, "case": case.name, "case_sha256": case.digest}
     about |= {NOTE: note or case.note, **(tags or {})}
-    run_id = runs.begin(study.label, name, about, start_s=now_s - wall_s)
+    run_id = runs.begin(task.label, name, about, start_s=now_s - wall_s)
     runs.log(run_id, params=params, metrics=numbers)
     points = [
         entities.Metric(metric_name(curve), value, round(1000.0 * now_s), step)

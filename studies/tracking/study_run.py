@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import optuna
 from mlflow.exceptions import MlflowException
 
+from studies.results.declaration import Declaration
 from studies.tracking.runs import RunStore, register_best
 from studies.tracking.trial_run import end_run
-from studies.tuning.declaration import Declaration
 
 if TYPE_CHECKING:
-    from studies.tuning.study_results import TrialView, TunedStudy
+    from studies.results.trials import TrialView, TunedStudy
 
 BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""

@@ -11,10 +11,10 @@ from typing import Any
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.epochs import EpochReport
+from studies.results.declaration import Declaration
+from studies.results.trials import errors_of
 from studies.tracking.quiet_mlflow import entities
 from studies.tracking.runs import CURVE, PARENT, RunStore
-from studies.tuning.attempts import errors_of
-from studies.tuning.declaration import Declaration
 
 N_POINTS = 100
 """Of the loss and of each of its terms; the validation error is written at every epoch."""
@@ -79,9 +79,11 @@ def end_run(runs: RunStore, run_id: str, trial: FrozenTrial) -> None:
         run_id: the trial's run.
         trial: the trial; one that still runs or waits was given to another worker, so this run is over.
     """
-    tags = {"trial_state": trial.state.name.lower(), "pruned": trial.state == TrialState.PRUNED}
+    state = trial.state.name.lower()
+    tags = {"trial_state": state, "pruned": trial.state == TrialState.PRUNED}
     is_failed, is_over = trial.state == TrialState.FAIL, trial.state.is_finished()
     usual = "its worker died" if is_failed else "" if is_over else "its worker was stopped"
-    reason = trial.user_attrs.get("reason") or usual
-    runs.log(run_id, metrics=errors_of(trial), tags=tags | ({"reason": reason} if reason else {}))
+    if reason := trial.user_attrs.get("reason") or usual:
+        tags["reason"] = reason
+    runs.log(run_id, metrics=errors_of(state, trial.value, trial.user_attrs), tags=tags)
     runs.end(run_id, "FAILED" if is_failed else "FINISHED" if is_over else "KILLED")

@@ -13,8 +13,8 @@ from urllib.parse import quote, urlencode
 from simulation.errors import InputError, MachineError
 from simulation.pool.family import end_with_parent
 from simulation.write_gate import check_written
-from studies.console import Console
 from studies.paths import ProjectPaths
+from studies.words.console import Console
 
 HOST, FIRST_PORT, N_PORTS = "127.0.0.1", 5000, 100
 START_LIMIT_S, STOP_LIMIT_S = 120.0, 10.0

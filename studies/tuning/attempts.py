@@ -16,8 +16,8 @@ from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
-from studies.stages.saved import rebuilt
-from studies.tuning.declaration import Declaration
+from studies.results.declaration import Declaration
+from studies.results.saved import rebuilt
 
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
@@ -153,14 +153,6 @@ def retry_lost(study: optuna.Study) -> None:
         if trial.number not in repeated:
             run_again(study, trial)
         study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
-
-
-def errors_of(trial: FrozenTrial) -> dict[str, float]:
-    """Return a trial's errors by name, as `val/mae` and `test/p90`; none unless it is complete."""
-    if trial.state != TrialState.COMPLETE or trial.value is None:
-        return {}
-    found = {name: float(v) for name, v in trial.user_attrs.items() if name.startswith(("val/", "test/"))}
-    return {"val/mae": float(trial.value), **found}
 
 
 @cache

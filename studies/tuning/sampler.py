@@ -10,7 +10,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
-from studies.tuning.declaration import Declaration
+from studies.results.declaration import Declaration
 
 _Made = TypeVar("_Made")
 # Each trial has a sampler of its own: with a seed per trial they would mix several sequences.

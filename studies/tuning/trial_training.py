@@ -14,8 +14,8 @@ from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.row_set import RowSet
-from studies.tuning.declaration import SETS, Declaration
+from studies.results.declaration import SETS, Declaration
+from studies.results.row_set import RowSet
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 # Before, ranks say next to nothing: at a tenth they correlate with the end by 0.37.

@@ -12,15 +12,16 @@ from optuna.trial import FrozenTrial
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.report.wording import setting, significant
-from studies.stages.pipeline import StageError
+from studies.results.declaration import Declaration
+from studies.results.trials import TunedStudy
+from studies.task import StageError
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
-from studies.tuning.declaration import Declaration
 from studies.tuning.forked_worker import ForkedWorker
 from studies.tuning.storage import storage_of, study_locked
-from studies.tuning.study_results import TunedStudy, latest_studies, read_studies, read_study
+from studies.tuning.study_results import latest_studies, read_studies, read_study
+from studies.words.wording import setting, significant
 
 POLL_S = 0.5
 MAX_DEATHS = 3

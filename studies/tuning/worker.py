@@ -23,7 +23,7 @@ from pelsvae.epochs import EpochReport
 from pelsvae.surrogate_files import save_surrogate
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, find_project
-from studies.provenance import file_digest
+from studies.results.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
 from studies.tracking.origin import environment
 from studies.tracking.runs import SURROGATE, RunStore

@@ -27,11 +27,11 @@ from interval_coverage import in_experiments  # noqa: E402
 from simulation import Case, Measurement  # noqa: E402
 from simulation.experiments import JoinedModel  # noqa: E402
 from simulation.samples import Samples  # noqa: E402
-from studies.calibration.adaptive import Adaptive  # noqa: E402
-from studies.calibration.experiments_ode import WatchedModel, learned_ode, watched_model  # noqa: E402
 from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
-from studies.calibration.states import watching_states  # noqa: E402
+from studies.calibration.search.adaptive import Adaptive  # noqa: E402
+from studies.calibration.state_equations.experiments_ode import WatchedModel, learned_ode, watched_model  # noqa: E402
+from studies.calibration.state_equations.states import watching_states  # noqa: E402
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from failing_room_for_tests import SENSOR, failing_room  # noqa: E402
 from simulation import ForwardModel, Trajectories  # noqa: E402
 from simulation.arrays import FloatArray  # noqa: E402
 from simulation.forward_model import WrappedModel  # noqa: E402
-from studies.calibration.adaptive import Adaptive  # noqa: E402
+from studies.calibration.search.adaptive import Adaptive  # noqa: E402
 
 RIGHT = 1.02
 

@@ -35,13 +35,13 @@ from simulation import Case, ForwardModel, Measurement, Trajectories, load_case 
 from simulation.arrays import FloatArray  # noqa: E402
 from simulation.experiments import JoinedModel  # noqa: E402
 from simulation.forward_model import WrappedModel  # noqa: E402
-from studies.calibration.adaptive import Adaptive  # noqa: E402
-from studies.calibration.experiments_ode import learned_ode, watched_model  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
-from studies.calibration.states import WatchedModel, watching_states  # noqa: E402
-from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
-from studies.uncertainty.noise import NoiseKind, noise_of  # noqa: E402
-from studies.uncertainty.rows import joined  # noqa: E402
+from studies.calibration.search.adaptive import Adaptive  # noqa: E402
+from studies.calibration.state_equations.experiments_ode import learned_ode, watched_model  # noqa: E402
+from studies.calibration.state_equations.states import WatchedModel, watching_states  # noqa: E402
+from studies.calibration.uncertainty.assess import assess, sampling_within  # noqa: E402
+from studies.calibration.uncertainty.noise import NoiseKind, noise_of  # noqa: E402
+from studies.calibration.uncertainty.rows import joined  # noqa: E402
 
 STEP = 1e-4
 """Step of the differences that information is made of. [1]"""

@@ -31,11 +31,11 @@ from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
 from simulation.measurement import Measurement  # noqa: E402
 from simulation.parameters import Parameter, ParameterSpace  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
-from studies.calibration.adaptive import Adaptive  # noqa: E402
-from studies.calibration.learned_ode import LearnedODE  # noqa: E402
-from studies.calibration.network_inputs import NetworkInputs  # noqa: E402
+from studies.calibration.hidden_network.inputs import NetworkInputs  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
-from studies.calibration.states import StateSignals, WatchedModel  # noqa: E402
+from studies.calibration.search.adaptive import Adaptive  # noqa: E402
+from studies.calibration.state_equations.learned_ode import LearnedODE  # noqa: E402
+from studies.calibration.state_equations.states import StateSignals, WatchedModel  # noqa: E402
 
 PER_CALL_S, IN_ALL_S = 0.2, 2.0
 RANGE = 50

@@ -26,11 +26,11 @@ from fewest_calls.problems import PosedModel, posed, problems  # noqa: E402
 from interval_coverage import Diary  # noqa: E402
 
 from simulation.arrays import FloatArray  # noqa: E402
-from studies.calibration.adaptive import Adaptive, AdaptiveResult  # noqa: E402
-from studies.calibration.learned_ode import LearnedODE  # noqa: E402
 from studies.calibration.problem import CalibrationProblem, Evaluation  # noqa: E402
-from studies.calibration.row_choice import best_and_far  # noqa: E402
-from studies.calibration.states import StateRows, WatchedModel  # noqa: E402
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult  # noqa: E402
+from studies.calibration.search.row_choice import best_and_far  # noqa: E402
+from studies.calibration.state_equations.learned_ode import LearnedODE  # noqa: E402
+from studies.calibration.state_equations.states import StateRows, WatchedModel  # noqa: E402
 
 PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
 NEVER = float("inf")

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from studies.paths import ProjectPaths
-from studies.report.wording import setting, significant
-from studies.tuning.study_results import TunedStudy, read_studies
+from studies.results.trials import TunedStudy
+from studies.tuning.study_results import read_studies
+from studies.words.wording import setting, significant
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

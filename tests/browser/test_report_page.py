@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from records_for_tests import adaptive, calibration, report_data, uncertainty
 
-from studies.report.page import write_page
+from studies.reporting.page import write_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -13,14 +13,14 @@ from simulation.case import Case, load_case
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.coefficient import Points
-from studies.calibration.first_design import latin_hypercube
-from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.product_forms import Products
-from studies.calibration.state_equations import LEARNT, StateEquations, Structure
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.search.first_design import latin_hypercube
+from studies.calibration.state_equations.coefficient import Points
+from studies.calibration.state_equations.equations import LEARNT, StateEquations, Structure
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.product_forms import Products
+from studies.calibration.state_equations.states import StateSignals, WatchedModel, watching_states
 
 FMUS = Path(__file__).parents[2] / "fmus"
 N_FINE = 4

@@ -15,11 +15,11 @@ from simulation.errors import InputError
 from simulation.forward_model import WrappedModel
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.expected_objective import Surrogate
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.residual_process import Features, ResidualProcess
+from studies.calibration.processes.groups import ProcessGroups
+from studies.calibration.processes.process import Features, ResidualProcess
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.search.expected_objective import Surrogate
 
 FEATURES = Features.of(ToyRC().parameter_space)
 ROWS = np.random.default_rng(0).random((12, 2))

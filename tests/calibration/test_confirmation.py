@@ -6,13 +6,13 @@ from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from studies.calibration.confirmation import least_unlikely
-from studies.calibration.ending import Confirmation
 from studies.calibration.polish import LeastSquaresTRF
-from studies.calibration.posterior_sample import PosteriorSample
-from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.residual_process import Features
-from studies.calibration.search_constants import SEARCH
+from studies.calibration.processes.groups import ProcessGroups
+from studies.calibration.processes.posterior_sample import PosteriorSample
+from studies.calibration.processes.process import Features
+from studies.calibration.search.confirmation import least_unlikely
+from studies.calibration.search.constants import SEARCH
+from studies.calibration.search.ending import Confirmation
 
 FEATURES = Features.of(ToyRC().parameter_space)
 # Differences of 1e-6 in the cube leave about 1e-6 of the gradient.

@@ -10,13 +10,13 @@ from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.differences import difference_rows
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.uncertainty.identifiability import Ridge, judged, judged_slopes
+from studies.calibration.uncertainty.noise import noise_of
 from studies.stages.calibrated_point import determined
-from studies.uncertainty.identifiability import Ridge, judged, judged_slopes
-from studies.uncertainty.noise import noise_of
 
 # Of standard deviations by slopes of a surrogate, whose rows lie up to a tenth of the range away.
 SPREAD_RTOL = 0.1

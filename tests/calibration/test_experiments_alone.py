@@ -13,11 +13,11 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.experiments import JoinedModel
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.experiments_ode import learned_ode, watched_model
-from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.states import watching_states
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.state_equations.experiments_ode import learned_ode, watched_model
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.states import watching_states
 
 
 class SecondIsWarmer(JoinedModel):

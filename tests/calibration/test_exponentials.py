@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from studies.calibration.flow_steps import exponentials
+from studies.calibration.state_equations.flow_steps import exponentials
 
 
 @pytest.mark.parametrize("n_states", [1, 4, 12])

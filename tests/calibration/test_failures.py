@@ -5,10 +5,10 @@ from failing_room_for_tests import SENSOR, failing_room
 from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
 
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.failures import Failures
-from studies.calibration.residual_process import Features
-from studies.calibration.search_constants import SEARCH
+from studies.calibration.processes.process import Features
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.constants import SEARCH
+from studies.calibration.search.failures import Failures
 
 # Differences of 1e-6 in the cube leave about 1e-5 of so steep a gradient.
 GRADIENT_RTOL = 1e-4

@@ -4,8 +4,8 @@ import numpy as np
 from problems_for_tests import rc_problem
 
 from studies.calibration.growing_rows import GrowingBasis, GrowingRows
-from studies.calibration.process_groups import ProcessGroups, is_refitted
-from studies.calibration.residual_process import Features
+from studies.calibration.processes.groups import ProcessGroups, is_refitted
+from studies.calibration.processes.process import Features
 
 RNG = np.random.default_rng(0)
 

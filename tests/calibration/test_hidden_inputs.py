@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from simulation.arrays import FloatArray
-from studies.calibration.hidden_inputs import Course, LocalVariables
-from studies.calibration.states import StateSignals
+from studies.calibration.state_equations.hidden_inputs import Course, LocalVariables
+from studies.calibration.state_equations.states import StateSignals
 
 N_OUTPUTS, EVERY, STEP_S = 145, 3, 600.0
 TIME = EVERY * STEP_S * np.arange(N_OUTPUTS)

@@ -13,10 +13,10 @@ from simulation import Measurement, load_case
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.network_inputs import NetworkInputs
-from studies.calibration.network_steps import steps
+from studies.calibration.hidden_network.inputs import NetworkInputs
+from studies.calibration.hidden_network.steps import steps
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.adaptive import Adaptive
 
 ROOT = Path(__file__).parents[2]
 N_STEPS, STEP_S = 240, 1800.0

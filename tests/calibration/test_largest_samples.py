@@ -9,10 +9,10 @@ from moving_for_tests import Moving, box, measured, with_equations
 from simulation.arrays import FloatArray
 from simulation.measurement import Measurement
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.descent import descend_together
 from studies.calibration.largest_samples import outlying_part
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.adaptive import Adaptive
 
 N, STEP_S = 120, 1000.0
 TIME = STEP_S * np.arange(N)

@@ -13,11 +13,11 @@ from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import Belief, Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.prior import Prior, independent_samples
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
+from studies.calibration.search.adaptive import Adaptive
 from studies.calibration.two_phase import calibrate_two_phase
 
 BELIEFS = (Belief(0.4, 0.05), None, Belief(-0.3, 0.3))

@@ -7,9 +7,14 @@ import pytest
 
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.coefficient import Coefficient, Points
-from studies.calibration.first_design import latin_hypercube
-from studies.calibration.product_forms import MOST_PAIRED, MOST_PRODUCTS, Products, product_sum
+from studies.calibration.search.first_design import latin_hypercube
+from studies.calibration.state_equations.coefficient import Coefficient, Points
+from studies.calibration.state_equations.product_forms import (
+    MOST_PAIRED,
+    MOST_PRODUCTS,
+    Products,
+    product_sum,
+)
 
 NAMES = ("R", "S", "C", "U", "T", *(f"other{i}" for i in range(9)))
 SPACE = ParameterSpace(

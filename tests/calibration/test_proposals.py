@@ -5,9 +5,9 @@ from problems_for_tests import rc_problem
 from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.proposals import Surroundings, favourites, informative
-from studies.calibration.residual_process import Features
+from studies.calibration.processes.groups import ProcessGroups
+from studies.calibration.processes.process import Features
+from studies.calibration.search.proposals import Surroundings, favourites, informative
 
 N_ASKED, N_MORE = 2, 4
 

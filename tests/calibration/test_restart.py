@@ -9,9 +9,9 @@ from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import Expansion
-from studies.calibration.expected_objective import expected_objective, is_surely_no_better
-from studies.calibration.residual_process import Features, ResidualProcess
-from studies.calibration.restart import least_excluded
+from studies.calibration.processes.process import Features, ResidualProcess
+from studies.calibration.search.expected_objective import expected_objective, is_surely_no_better
+from studies.calibration.search.restart import least_excluded
 
 
 def two_valleys(u: FloatArray, *, caution: float, unsure_at: float) -> Expansion:

@@ -13,11 +13,11 @@ from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
 from simulation.measurement import Measurement
 from simulation.robust_loss import LossKind, RobustLoss
-from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
-from studies.uncertainty.identifiability import judged_slopes
-from studies.uncertainty.noise import noise_of
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.uncertainty.identifiability import judged_slopes
+from studies.calibration.uncertainty.noise import noise_of
 
 WALL = FMUS / "wall"
 OUTLIERS, SIZE = 0.05, 40.0

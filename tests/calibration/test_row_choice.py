@@ -11,10 +11,10 @@ from problems_for_tests import TRUE_RC, Diary, rc_problem
 from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.row_choice import N_BEST, N_FAR, SAME_ROW, best_and_far
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.row_choice import N_BEST, N_FAR, SAME_ROW, best_and_far
 
 SHORT = Adaptive(max_calls=60)
 REPOSITORY = Path(__file__).parents[2]

@@ -10,8 +10,8 @@ from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.coefficient import Points
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.state_equations.coefficient import Points
+from studies.calibration.state_equations.states import StateSignals, WatchedModel, watching_states
 
 STEP_S, N_STEPS = 600.0, 120
 

@@ -8,10 +8,10 @@ from moving_for_tests import Moving, box, measured, with_equations
 
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.learned_ode import LearnedODE
-from studies.calibration.state_flow import SteppedFlow
-from studies.calibration.state_terms import FUNCTIONS, Sum, Term
-from studies.calibration.states import WatchedModel
+from studies.calibration.state_equations.flow import SteppedFlow
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.states import WatchedModel
+from studies.calibration.state_equations.terms import FUNCTIONS, Sum, Term
 
 N_STEPS = 200
 

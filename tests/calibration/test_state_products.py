@@ -8,11 +8,11 @@ from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.coefficient import Points
-from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.state_flow import LinearFlow, SteppedFlow
-from studies.calibration.state_terms import Sum, Term
+from studies.calibration.state_equations.coefficient import Points
+from studies.calibration.state_equations.flow import LinearFlow, SteppedFlow
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.terms import Sum, Term
 
 STEP_S, EVERY, N_STEPS = 300.0, 2, 160
 WATER = 4180.0

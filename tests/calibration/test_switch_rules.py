@@ -7,11 +7,11 @@ import pytest
 from moving_for_tests import FMUS, watched_case, with_equations
 
 from simulation.arrays import FloatArray
-from studies.calibration.learned_ode import LearnedODE
-from studies.calibration.state_flow import SteppedFlow
-from studies.calibration.state_terms import Sum, Term
-from studies.calibration.states import StateSignals
-from studies.calibration.switch_positions import with_switches
+from studies.calibration.state_equations.flow import SteppedFlow
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.states import StateSignals
+from studies.calibration.state_equations.switch_positions import with_switches
+from studies.calibration.state_equations.terms import Sum, Term
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 STEP_S, N_STEPS = 1.0, 40

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulation.arrays import FloatArray
-from studies.calibration.switching import switches
+from studies.calibration.search.switching import switches
 
 TIME = np.linspace(0.0, 10.0, 300)
 

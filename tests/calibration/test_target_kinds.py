@@ -13,11 +13,11 @@ from scipy.optimize import least_squares
 from simulation.arrays import FloatArray
 from simulation.limits import Limits
 from simulation.measurement import Measurement
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
-from studies.uncertainty.noise import noise_of
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.uncertainty.noise import noise_of
 
 SIZE, LASTS_S = 0.3, 4.0 * 3600.0
 START = np.array([0.4, 0.6])

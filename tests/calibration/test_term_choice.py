@@ -5,14 +5,14 @@ import pytest
 from moving_for_tests import Moving, box, measured
 
 from simulation.arrays import FloatArray
-from studies.calibration.adaptive import Adaptive
-from studies.calibration.first_design import latin_hypercube
-from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.recorder import Progress
-from studies.calibration.state_equations import Structure
-from studies.calibration.state_terms import Term
-from studies.calibration.states import WatchedModel
-from studies.calibration.term_choice import chosen_terms
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.first_design import latin_hypercube
+from studies.calibration.state_equations.equations import Structure
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.states import WatchedModel
+from studies.calibration.state_equations.term_choice import chosen_terms
+from studies.calibration.state_equations.terms import Term
 
 HIDDEN = 1.0 + np.sin(np.linspace(0.0, 9.0, 60))[:, None]
 

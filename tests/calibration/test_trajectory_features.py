@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulation.arrays import FloatArray
-from studies.calibration.trajectory_features import TrajectoryFeatures
+from studies.calibration.search.trajectory_features import TrajectoryFeatures
 
 TIME = np.linspace(0.0, 24.0, 400)
 ALL = np.ones((1, TIME.size), dtype=np.bool_)

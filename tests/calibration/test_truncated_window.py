@@ -11,10 +11,10 @@ from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.robust_loss import RobustLoss
 from simulation.trajectories import Trajectories
-from studies.calibration.adaptive import Adaptive
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.search_constants import SEARCH
-from studies.calibration.truncated_window import TruncatedWindow
+from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.constants import SEARCH
+from studies.calibration.search.truncated_window import TruncatedWindow
 
 TRUE_WAVE = np.array([3.3, 0.7])
 

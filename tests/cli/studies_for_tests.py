@@ -12,10 +12,10 @@ from optuna.trial import FrozenTrial, TrialState
 from pelsvae.config import VARIANTS
 from studies.calibration.ledger import Ledger
 from studies.paths import ProjectPaths
-from studies.stages.saved import arrays_of, plain, write_arrays, write_json
-from studies.stages.stage_results import Calibration
+from studies.results.declaration import Declaration
+from studies.results.saved import arrays_of, plain, write_arrays, write_json
+from studies.results.stage_results import Calibration
 from studies.tuning.attempts import DECLARATION, PLANNED, RUN_ID
-from studies.tuning.declaration import Declaration
 from studies.tuning.storage import open_storage
 
 MAX_EPOCHS = 400

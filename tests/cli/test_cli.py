@@ -12,7 +12,7 @@ import pytest
 from project_for_tests import REPOSITORY, Run, copy_of, process_environment
 
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of, main
-from studies.console import Column, Console
+from studies.words.console import Column, Console
 
 HEAVY = (
     "torch",

@@ -10,7 +10,7 @@ from project_for_tests import Answer, Run, edit
 from simulation.errors import InputError
 from studies.cli import is_interrupt
 from studies.profile import PROFILE_FOLDER
-from studies.stages.saved import read_arrays
+from studies.results.saved import read_arrays
 
 CASE = "fmus/office/case.toml"
 RECORDING = "data/office/recording_1800s.csv"

@@ -13,7 +13,7 @@ from project_for_tests import Run, add_case, copy_of, edit, make_project, stored
 
 from simulation.case import load_case
 from studies.cli import main
-from studies.stages.saved import read_arrays
+from studies.results.saved import read_arrays
 
 EXPERIMENTS = """
 [[experiments]]

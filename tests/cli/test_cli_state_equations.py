@@ -84,7 +84,7 @@ def test_where_nothing_can_be_learnt_it_says_so(
     project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without its other variables the FMU does not show the position of its switch.
-    monkeypatch.setattr("studies.calibration.states.MOST_LOCALS", 0)
+    monkeypatch.setattr("studies.calibration.state_equations.states.MOST_LOCALS", 0)
     answer = studies("calibrate", "thermostat", "--max-calls", "6", "--jobs", "1")
     assert answer.code == 0, answer.err
     assert "State equations of 3 states: not learnt, for no sum of states, inputs" in answer.out
@@ -96,7 +96,7 @@ def test_who_wants_them_is_learnt_why_there_are_none(
     made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = copy_of(made, tmp_path / "project", monkeypatch)
-    monkeypatch.setattr("studies.calibration.states.MOST_STATES", 2)
+    monkeypatch.setattr("studies.calibration.state_equations.states.MOST_STATES", 2)
     answer = studies(*WALL, "--state-equations")
     assert answer.code == 2
     *_, line = answer.err.splitlines()

@@ -14,12 +14,12 @@ from project_for_tests import Run, copy_of, stored_result, stored_simulations
 from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
-from studies.report.drawing import write_picture
-from studies.report.figures_calibration import interval_figure
-from studies.report.sentences import uncertainty_sentences
-from studies.report.tables import intervals_table
-from studies.stages.pipeline import read_outcome
-from studies.stages.stage_results import Uncertainty
+from studies.reporting.drawing import write_picture
+from studies.reporting.figures_calibration import interval_figure
+from studies.reporting.sentences import uncertainty_sentences
+from studies.reporting.tables import intervals_table
+from studies.results.outcome import read_outcome
+from studies.results.stage_results import Uncertainty
 from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")

@@ -18,7 +18,6 @@ from simulation.fmi.variable import Interface
 from simulation.pool.execution import FIRST_LIMIT_S, ExecutionPolicy
 from simulation.samples import Samples
 from simulation.trajectories import Trajectories
-from studies.console import Console
 from studies.doctor import Diagnosis, examine
 from studies.doctor.answers import N_COVERAGE, coverage_points, look_at_coverage
 from studies.doctor.asking import Asked
@@ -27,7 +26,8 @@ from studies.doctor.declared import look_at_data, look_at_declaration, look_at_n
 from studies.doctor.mixups import better_inputs, better_outputs, input_mixups
 from studies.paths import ProjectPaths
 from studies.profile import load_profile
-from studies.stages.pipeline import Study
+from studies.task import Task
+from studies.words.console import Console
 
 NO_SUN = 'inputs = [{ name = "sun", sum = { sun_W_m2 = 0.0 } }]'
 
@@ -38,8 +38,8 @@ def levels(answer: Answer) -> dict[str, str]:
 
 def examined(project: Path, file: Path, **limits: Any) -> Diagnosis:
     paths, console = ProjectPaths(project), Console(quiet=True)
-    study = Study(load_case(file), load_profile("smoke"), paths, console, 1, "x", "x")
-    return examine(study, **limits)
+    task = Task(load_case(file), load_profile("smoke"), paths, console, 1, "x", "x")
+    return examine(task, **limits)
 
 
 # Experiments

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from project_for_tests import Run, copy_of, edit
 
 from simulation.foreign_text import MOST_QUOTED, escaped, not_a_formula, quoted
-from studies.console import Column, Console, Table
+from studies.words.console import Column, Console, Table
 
 CLEAR = "\x1b[2J\x1b]0;title\x07"
 HOSTILE = f"a{CLEAR}\x9b31m\u202eb\u2066c\r\x00d\x08\x7f\u2028e"

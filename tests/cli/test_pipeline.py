@@ -12,20 +12,22 @@ from hypothesis import strategies as st
 
 from simulation.arrays import FloatArray
 from simulation.case import load_case
-from studies.console import Console
 from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile
+from studies.results.outcome import Outcome, digest_of
+from studies.results.saved import WITH_ARRAYS, Error, plain
+from studies.results.stage_results import Fit
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Stage, Study, digest_of
-from studies.stages.saved import WITH_ARRAYS, Error, plain
+from studies.stages.pipeline import Stage
 from studies.stages.simulate_stage import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
-from studies.stages.stage_results import Fit
+from studies.task import Task
+from studies.words.console import Console
 
 
 @pytest.fixture
-def study(project: Path) -> Study:
+def task(project: Path) -> Task:
     paths = ProjectPaths(project)
-    return Study(
+    return Task(
         case=load_case(find_case(paths, "office")),
         profile=load_profile("smoke"),
         paths=paths,
@@ -56,10 +58,10 @@ RESULT = Made(7, Fit(0.5, share_within=0.1 + 0.2), np.inf, np.array([1.0, np.nan
 class Worker:
     """Does a stage and counts how often."""
 
-    def __init__(self, study: Study, result: Made = RESULT) -> None:
-        self.study, self.n_done = study, 0
+    def __init__(self, task: Task, result: Made = RESULT) -> None:
+        self.task, self.n_done = task, 0
         self.result, self.is_interrupted = result, False
-        self.file = study.results / "result.txt"
+        self.file = task.results / "result.txt"
 
     def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome[Made]:
         def work() -> Made:
@@ -70,12 +72,12 @@ class Worker:
             self.file.write_text("result")
             return self.result
 
-        stage = Stage(self.study, "work", "working", inputs, Made)
+        stage = Stage(self.task, "work", "working", inputs, Made)
         return stage.once(work, files=[self.file], is_kept=lambda _: keep)
 
 
-def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
-    worker = Worker(study)
+def test_a_finished_stage_is_not_done_again(task: Task, capsys: pytest.CaptureFixture[str]) -> None:
+    worker = Worker(task)
     first, second = worker.run({"a": 1}), worker.run({"a": 1})
     assert worker.n_done == 1
     assert (first.reused, second.reused) == (False, True)
@@ -96,8 +98,8 @@ def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.Capture
     assert "work: finished before" in capsys.readouterr().err
 
 
-def test_other_inputs_or_a_missing_or_changed_file_mean_again(study: Study) -> None:
-    worker = Worker(study)
+def test_other_inputs_or_a_missing_or_changed_file_mean_again(task: Task) -> None:
+    worker = Worker(task)
     worker.run({"a": 1})
     worker.run({"a": 2})
     assert worker.n_done == 2
@@ -107,15 +109,15 @@ def test_other_inputs_or_a_missing_or_changed_file_mean_again(study: Study) -> N
     worker.file.write_text("half")
     worker.run({"a": 2})
     assert worker.n_done == 4
-    (study.results / "work.json").write_text('{"digest": ')
+    (task.results / "work.json").write_text('{"digest": ')
     worker.run({"a": 2})
     assert worker.n_done == 5
 
 
-def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(study: Study) -> None:
-    worker = Worker(study, replace(RESULT, has_failures=True))
+def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(task: Task) -> None:
+    worker = Worker(task, replace(RESULT, has_failures=True))
     worker.run({})
-    patient = Worker(replace(study, retry_failed=True))
+    patient = Worker(replace(task, retry_failed=True))
     patient.is_interrupted = True
     with pytest.raises(KeyboardInterrupt):
         patient.run({})
@@ -132,8 +134,8 @@ def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinis
         ("uncertainty = 0.5", "uncertainty = 0.5\nerror_lasts_s = 7200"),
     ],
 )
-def test_what_no_digest_holds_is_an_input_where_it_decides(study: Study, old: str, new: str) -> None:
-    file = study.case.path
+def test_what_no_digest_holds_is_an_input_where_it_decides(task: Task, old: str, new: str) -> None:
+    file = task.case.path
     before = load_case(file)
     file.write_text(file.read_text().replace(old, new, 1))
     after = load_case(file)
@@ -141,13 +143,13 @@ def test_what_no_digest_holds_is_an_input_where_it_decides(study: Study, old: st
     assert declared_inputs(after) != declared_inputs(before)
 
 
-def test_a_manifest_says_what_made_it(study: Study) -> None:
-    Worker(study).run({"a": 1})
-    manifest = json.loads((study.results / "work.json").read_text())
+def test_a_manifest_says_what_made_it(task: Task) -> None:
+    Worker(task).run({"a": 1})
+    manifest = json.loads((task.results / "work.json").read_text())
     assert manifest["inputs"] == {"a": 1}
     assert manifest["files"] == {
         "mlruns/results/office-smoke/result.txt": 6,
-        "mlruns/results/office-smoke/work.npz": (study.results / "work.npz").stat().st_size,
+        "mlruns/results/office-smoke/work.npz": (task.results / "work.npz").stat().st_size,
     }
     assert manifest["seed"] == 0
     assert {"python", "numpy", "torch", "platform"} <= set(manifest["environment"])

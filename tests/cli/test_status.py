@@ -23,8 +23,8 @@ from studies_for_tests import (
 )
 
 from studies.calibration.ledger import Ledger
-from studies.provenance import file_digest
-from studies.stages.saved import read_json, write_json
+from studies.results.provenance import file_digest
+from studies.results.saved import read_json, write_json
 
 OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 

@@ -120,8 +120,8 @@ def test_the_wheel_holds_three_packages_and_the_embedded_cases(wheel: Path) -> N
         f"{about}/licenses/LICENSE",
         f"{about}/licenses/LICENSES/FMI-headers-BSD-2-Clause.txt",
         "studies/profiles/quick.toml",
-        "studies/report/charts.js",
-        "studies/report/page.html",
+        "studies/reporting/charts.js",
+        "studies/reporting/page.html",
         "studies/doctor/findings.toml",
         "studies/new/case.toml.jinja",
     } <= names

@@ -9,8 +9,8 @@ import pytest
 from simulation.errors import InputError
 from studies import entry
 from studies.cli import main
-from studies.console import Console
 from studies.paths import ProjectPaths, find_case, find_project, mark_project
+from studies.words.console import Console
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 WALL = REPOSITORY / "fmus" / "wall" / "Wall.fmu"

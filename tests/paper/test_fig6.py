@@ -14,7 +14,7 @@ from paper_study_for_tests import COMMITTED, REPOSITORY, reproduce_paper
 from simulation.errors import InputError
 from studies.paper.fig6 import SizeTrials, shown
 from studies.paper.items import read_sizes, write_size
-from studies.report.wording import count, percent, setting, significant
+from studies.words.wording import count, percent, setting, significant
 
 Draw = Callable[..., tuple[int, dict[str, Any]]]
 

@@ -11,7 +11,7 @@ from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 from studies.paper import fig7
 from studies.paper.items import read_sizes, write_size
 from studies.paper.table4 import SeedCalibration, SizeCalibrations, shown
-from studies.report.wording import count, significant
+from studies.words.wording import count, significant
 
 DOCUMENTATION = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
 

@@ -22,20 +22,20 @@ from records_for_tests import (
 
 from simulation.case import Case
 from simulation.samples import Samples
-from studies.report.drawing import Figure, with_gaps, write_picture
-from studies.report.figures_calibration import (
+from studies.reporting.drawing import Figure, with_gaps, write_picture
+from studies.reporting.figures_calibration import (
     band_figure,
     calibration_figure,
     calls_figure,
     interval_figure,
     validation_figure,
 )
-from studies.report.figures_model import (
+from studies.reporting.figures_model import (
     coverage_figure,
     mae_over_n_figure,
     sensitivity_figure,
 )
-from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
+from studies.results.stage_results import Calibration, Validated, ValidatedPoint
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     "calibration": lambda: calibration_figure(case(), calibration()),

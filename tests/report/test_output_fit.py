@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from simulation.measurement import Measurement
+from studies.results.stage_results import OutputFit
 from studies.stages.calibrated_point import output_fit
-from studies.stages.stage_results import OutputFit
 
 
 def fit(unit: str, off: list[float], values: list[float] | None = None) -> OutputFit:

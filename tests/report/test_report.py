@@ -25,14 +25,15 @@ from records_for_tests import (
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.blocks import Table
-from studies.report.page import ReportData, write_page
-from studies.report.sentences import calibration_sentences
-from studies.report.tables import (
+from studies.reporting.page import ReportData, write_page
+from studies.reporting.sentences import calibration_sentences
+from studies.reporting.tables import (
     calibrations_table,
     intervals_table,
     parameters_table,
 )
-from studies.report.wording import (
+from studies.results.stage_results import Calibration, Determined, EquationsFound
+from studies.words.wording import (
     count,
     declared,
     difference_unit,
@@ -41,7 +42,6 @@ from studies.report.wording import (
     significant,
     squared,
 )
-from studies.stages.stage_results import Calibration, Determined, EquationsFound
 
 VOID = {"meta", "img", "br", "link", "hr"}
 EVIL = "<script>alert('x')</script>\"&|$title${body}"

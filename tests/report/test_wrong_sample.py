@@ -11,7 +11,7 @@ from records_for_tests import calibration
 
 from simulation.case import load_case
 from studies.doctor.declared import look_at_data
-from studies.report.sentences import calibration_sentences
+from studies.reporting.sentences import calibration_sentences
 from studies.stages.calibrated_point import fits
 
 ROOT = Path(__file__).parents[2]

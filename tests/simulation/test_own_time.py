@@ -15,7 +15,7 @@ from kinds_fmu import build_kinds_fmu, closed_form, kinds_settings
 from simulation import FmuModel, InputError, load_case
 from simulation.fmi.description import read_description
 from simulation.fmi.own_time import own_unit_s
-from studies.calibration.states import StateSignals, WatchedModel, watching_states
+from studies.calibration.state_equations.states import StateSignals, WatchedModel, watching_states
 from studies.doctor.begin import look_at_begin
 from studies.new.choice import choose_times
 

@@ -9,7 +9,7 @@ from c_fmu_for_tests import write_fmu
 from case_for_tests import repack
 
 from simulation import InputError, load_case
-from studies.calibration.states import watching_states, why_unwatched
+from studies.calibration.state_equations.states import watching_states, why_unwatched
 from studies.doctor.names import look_at_names
 
 DECAY = Path(__file__).with_name("decay.c")

@@ -15,8 +15,8 @@ from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.other_inputs import settings_with_inputs
 from studies.cli import main
-from studies.stages.pipeline import read_outcome
-from studies.stages.stage_results import Calibration, Uncertainty
+from studies.results.outcome import read_outcome
+from studies.results.stage_results import Calibration, Uncertainty
 
 ROOT = Path(__file__).resolve().parents[2]
 INPUTS = ROOT / "data" / "wall" / "inputs.csv"

@@ -10,7 +10,7 @@ from toy_rc import ToyRC
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.store.store import SimulationStore
-from studies.row_set import RowSet
+from studies.results.row_set import RowSet
 
 TOY = ToyRC()
 ROWS = TOY.simulate(uniform_design(TOY.parameter_space, 400, seed=0))

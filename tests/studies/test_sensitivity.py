@@ -11,7 +11,7 @@ from toys_for_tests import IshigamiToy
 from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.sobol import SobolIndices, mean_over_time, sobol_indices
+from studies.calibration.sobol import SobolIndices, mean_over_time, sobol_indices
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from decaying_case_for_tests import (
 )
 
 from simulation.case import load_case
-from studies.console import Console
 from studies.doctor.begin import look_at_begin, say_begin
+from studies.words.console import Console
 
 LATE = np.arange(9000.0, 57601.0, 600.0)
 MEASURED = states(LATE) + noise(len(LATE))

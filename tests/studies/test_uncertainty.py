@@ -13,13 +13,13 @@ from simulation.trajectories import Trajectories
 from studies.calibration.differences import difference_rows
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
-from studies.uncertainty.annealing import Reference, sample_density
-from studies.uncertainty.assess import Assessment, assess, sampling_within
-from studies.uncertainty.bands import bands_of, share_within
-from studies.uncertainty.findings import compensations, knowledge
-from studies.uncertainty.identifiability import judged
-from studies.uncertainty.noise import noise_of
-from studies.uncertainty.sample import Sampling
+from studies.calibration.uncertainty.annealing import Reference, sample_density
+from studies.calibration.uncertainty.assess import Assessment, assess, sampling_within
+from studies.calibration.uncertainty.bands import bands_of, share_within
+from studies.calibration.uncertainty.findings import compensations, knowledge
+from studies.calibration.uncertainty.identifiability import judged
+from studies.calibration.uncertainty.noise import noise_of
+from studies.calibration.uncertainty.sample import Sampling
 
 TIME = np.linspace(0.0, 1.0, 60)
 SIGMA = 0.05

@@ -17,7 +17,7 @@ from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from studies.calibration.states import StateSignals
+from studies.calibration.state_equations.states import StateSignals
 from studies.physical_model import StoredWatchedModel
 
 TOY = ToyRC(fails_above_r=4.0)

@@ -10,8 +10,8 @@ from typing import Any
 from sqlalchemy import Engine, event
 
 from studies.paths import ProjectPaths
+from studies.results.declaration import Declaration
 from studies.tracking.runs import RunStore
-from studies.tuning.declaration import Declaration
 from studies.tuning.forked_worker import PRELOADED
 from studies.tuning.storage import open_storage
 from studies.tuning.tune_studies import tune

@@ -22,7 +22,7 @@ from toy_study_for_tests import (
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.tuning.declaration import Declaration
+from studies.results.declaration import Declaration
 from studies.tuning.study_results import read_studies, read_study
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.tuning.worker import Worker, main

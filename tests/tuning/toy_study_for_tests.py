@@ -19,10 +19,10 @@ from simulation.design import uniform_design
 from simulation.store.store import SimulationStore
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
-from studies.row_set import RowSet
+from studies.results.declaration import SETS, Declaration
+from studies.results.row_set import RowSet
 from studies.tracking.quiet_mlflow import connect, entities
 from studies.tuning.attempts import places
-from studies.tuning.declaration import SETS, Declaration
 
 N_TUNED = 8
 """Trials of the studies that are tuned once for all tests."""

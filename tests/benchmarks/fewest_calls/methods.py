@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from fewest_calls import peers_bayesian, peers_least_squares, peers_modestpy, peers_scalar
-from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
 
 Search = Callable[[CalibrationProblem, int, int], AdaptiveResult | None]
 """Problem, seed and most calls; asks the problem's model. Ours return how they ended, peers nothing."""

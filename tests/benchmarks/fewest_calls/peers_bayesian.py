@@ -10,8 +10,8 @@ import numpy as np
 
 from fewest_calls.counted import Asked
 from simulation.arrays import FloatArray
-from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.first_design import latin_hypercube
 
 # What far rows vary in most is not all that near ones do.
 MOST_COMPONENTS = 12

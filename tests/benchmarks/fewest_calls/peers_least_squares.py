@@ -6,9 +6,9 @@ import numpy as np
 
 from fewest_calls.counted import Asked
 from simulation.arrays import FloatArray
-from studies.calibration.first_design import latin_hypercube
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.search.first_design import latin_hypercube
 
 N_SCREENED = 10
 DIFFERENCE = 1e-5

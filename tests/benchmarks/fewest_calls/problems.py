@@ -15,13 +15,13 @@ from simulation import Case, Trajectories, load_case
 from simulation.arrays import FloatArray
 from simulation.experiments import JoinedModel
 from simulation.forward_model import ForwardModel, WrappedModel
-from studies.calibration.experiments_ode import learned_ode, watched_model
-from studies.calibration.learned_ode import LearnedODE
-from studies.calibration.network_inputs import NetworkInputs
+from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
-from studies.calibration.states import watching_states
+from studies.calibration.state_equations.experiments_ode import learned_ode, watched_model
+from studies.calibration.state_equations.learned_ode import LearnedODE
+from studies.calibration.state_equations.states import watching_states
 
 ROOT = Path(__file__).parents[3]
 HERE = Path(__file__).parent

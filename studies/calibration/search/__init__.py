@@ -1,0 +1,1 @@
+"""The search on the model alone: which points it simulates next, and when it ends."""

@@ -1,0 +1,1 @@
+"""Equations of the model's states, learned from its simulations."""

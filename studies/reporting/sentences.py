@@ -1,0 +1,290 @@
+"""What results mean, in sentences that the terminal and the page share."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studies.calibration.search.misfit_threshold import misfit_threshold
+from studies.calibration.uncertainty.noise import VANISHING, Noise
+from studies.results.outcome import Outcome
+from studies.results.stage_results import Calibration, LargestSample, Uncertainty
+from studies.words.console import format_seconds
+from studies.words.wording import (
+    compared_in,
+    count,
+    difference_unit,
+    listed,
+    moment_of,
+    percent,
+    quantity,
+    shown_unit,
+    significant,
+    square_of,
+    squared,
+)
+
+if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
+    from simulation.case import Case
+    from simulation.measurement import MeasuredOutput
+
+MOST_NAMED, FARTHEST = 4, 3
+"""Outputs up to which a sentence names all, and how many it names of more."""
+UNCORRELATED = 0.9
+"""Samples that are worth this share of their number are said to be uncorrelated."""
+_RANDOM = (
+    "The FMU is not deterministic: the best simulation was another one when it was repeated with the same "
+    "parameters, so no error and no parameter here is exact"
+)
+_OWN_PROCESSES = (
+    "The FMU does not forget one simulation before the next, so each simulation had a process of its own"
+)
+FITS_BETTER = 0.99
+"""Share of a calibration's error below which another parameter set is said to fit better."""
+
+
+def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
+    """Say what a calibration came to, what it cost and why it ended."""
+    found, unit = outcome.result, square_of(case.outputs[0].unit)
+    n_experiments = len(case.experiments)
+    n_alone = 0 if found.state_equations is None else found.state_equations.n_alone
+    n_rows = found.n_calls_paper - (math.ceil(n_alone / n_experiments) if n_alone else 0)
+    cost = count(n_rows, "model call")
+    if n_experiments:
+        alone = f" and {n_alone} in single ones" if n_alone else ""
+        cost += f" in each of {count(n_experiments, 'experiment')}{alone}"
+        cost += f", {count(n_rows * n_experiments + n_alone, 'simulation')} in all"
+    if found.settings.get("n_parallel", 1) != 1:
+        cost += f" in {count(found.n_rounds or 0, 'round')}"
+    if found.n_warm_start:
+        cost += f", begun with {count(found.n_warm_start, 'stored simulation')}"
+    return (
+        f"{found.error_name} {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}); "
+        f"it ended because {found.stop_reason}"
+    )
+
+
+def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
+    """Say what a calibration means, from how its state equations did to what priors weigh."""
+    said = [_RANDOM] * found.is_random + [_OWN_PROCESSES] * found.has_own_processes
+    said += [] if found.state_equations is None else [found.state_equations.sentence]
+    if not math.isfinite(found.mse):
+        return said
+    said += [_fit(case, found), *_relative(case, found), *_limits(case, found), *_outliers(case, found)]
+    said += [] if found.determined_by_data is None else found.determined_by_data.sentences
+    if (prior := found.prior) is not None:
+        unit = square_of(case.outputs[0].unit)
+        said.append(
+            f"One standard deviation of a prior weighs as much as {quantity(prior.weight, unit)} of "
+            f"{found.error_name} ({prior.n_independent:.4g} independent samples); all priors together "
+            f"{quantity(prior.penalty, unit)}, which no {found.error_name} shown here includes"
+        )
+    return said
+
+
+def _fit(case: "Case", found: Calibration) -> str:
+    parts = []
+    for output in _shown(case, found):
+        fit, unit = found.outputs[output.name], difference_unit(output.unit)
+        part = f"{output.name} differs by {quantity(fit.rmse, unit)} (RMS)"
+        if fit.uncertainty is not None and fit.share_within is not None:
+            sensor = f"±{fit.uncertainty:g} {unit}".strip()
+            part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
+        parts.append(part)
+    n_left = len(case.measurement.measured) - len(parts)
+    less = f"; the other {n_left} outputs by a smaller part of their range" if n_left else ""
+    return _begun(f"{compared_in(case)} {'; '.join(parts)}{less}")
+
+
+def _shown(case: "Case", found: Calibration) -> list["MeasuredOutput"]:
+    """Return the measured outputs that a sentence names: all, or of many those that differ most."""
+    measured = [output for output in case.outputs if output.is_measured]
+    if len(measured) <= MOST_NAMED:
+        return measured
+    return sorted(measured, key=lambda output: found.outputs[output.name].nrmse or 0.0)[: -FARTHEST - 1 : -1]
+
+
+def _relative(case: "Case", found: Calibration) -> list[str]:
+    """Say how large differences are relative to what was measured, of the outputs that have it."""
+    parts = []
+    for output in _shown(case, found):
+        fit = found.outputs[output.name]
+        shares = [
+            f"{name} {percent(share)}"
+            for name, share in (("NRMSE", fit.nrmse), ("CV(RMSE)", fit.cv_rmse))
+            if share is not None
+        ]
+        parts += [f"{output.name} {' and '.join(shares)}"] * bool(shares)
+    return [f"Relative to the range and the mean of the measured values: {'; '.join(parts)}"] * bool(parts)
+
+
+def _limits(case: "Case", found: Calibration) -> list[str]:
+    """Say which outputs keep their limits, and how far the others lie beyond."""
+    said = []
+    for output in case.outputs:
+        fit, limits, unit = found.outputs[output.name], output.limits, output.unit
+        if limits is None or fit.largest_excess is None or fit.share_beyond is None:
+            continue
+        ends = listed(
+            f"{name} {quantity(end, shown_unit(unit), 4)}"
+            for name, end in (("at least", limits.at_least), ("at most", limits.at_most))
+            if math.isfinite(end)
+        )
+        if not fit.largest_excess:
+            said.append(f"{output.name} keeps its limits ({ends}) throughout")
+            continue
+        side = "below" if fit.largest_excess < 0.0 else "above"
+        largest = quantity(abs(fit.largest_excess), difference_unit(unit))
+        said.append(
+            f"{output.name} is outside its limits ({ends}) for {percent(fit.share_beyond)} of the time, by "
+            f"{largest} {side} at most"
+        )
+    return said
+
+
+def _begun(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
+def _outliers(case: "Case", found: Calibration) -> list[str]:
+    """Name the samples that a robust loss counts less, by output, and those that may be wrong."""
+    said, measurement = [], case.measurement
+    for k, output in enumerate(case.outputs):
+        unit, largest = difference_unit(output.unit), found.outputs[output.name].largest
+        if (loss := output.loss) is None:
+            if largest is not None:
+                # A correlation time and a robust loss exclude each other.
+                is_free = not output.correlation_s
+                said.append(_largest(output.name, largest, unit, may_have_loss=is_free))
+            continue
+        difference = measurement.differences(found.y[None], k)[0]
+        n_beyond, worst = np.count_nonzero(np.abs(difference) > loss.scale), np.argmax(np.abs(difference))
+        sentence = (
+            f"{output.name} has the {loss.kind} loss with scale {quantity(loss.scale, unit)}: "
+            f"{n_beyond:,} of {count(len(difference), 'sample')} differ by more and count less, "
+            "none is left out"
+        )
+        if n_beyond:
+            moment = moment_of(case, output, int(worst))
+            sentence += f"; the largest, {quantity(float(difference[worst]), unit)}, at {moment}"
+        said.append(sentence)
+    return said
+
+
+def _largest(name: str, sample: LargestSample, unit: str, *, may_have_loss: bool) -> str:
+    """Name a sample that stands alone, and what to do about it."""
+    far = "" if sample.times_median is None else f", {sample.times_median:,.0f} times the median difference"
+    less = ', or let it count less with loss = "huber" for this output' * may_have_loss
+    return (
+        f"{name} differs most at {sample.at}, by {quantity(abs(sample.difference), unit)}{far}; "
+        f"if that value is wrong, empty its cell{less}"
+    )
+
+
+def noise_sentence(noise: Noise, unit: str) -> str:
+    """State the noise model.
+
+    Args:
+        noise: Kind and numbers.
+        unit: Unit of a difference of the first output.
+    """
+    m, n = count(noise.n_samples, "sample"), count(noise.n_independent)
+    size = f"{significant(noise.deviation)} {unit}".strip()
+    if noise.kind == "sensor":
+        worth = "all independent" if noise.n_independent == noise.n_samples else f"worth {n}"
+        return (
+            f"Noise model: the sensor's declared uncertainty, {size} as one standard deviation; {m}, {worth}."
+        )
+    if noise.kind == "white":
+        return f"Noise model: white, {size} as the residuals scatter; {m}, all independent."
+    if noise.n_independent > UNCORRELATED * noise.n_samples:
+        return f"Noise model: {size} as the residuals scatter; they do not follow each other, {m} count."
+    return (
+        f"Noise model: {size} as the residuals scatter; they follow each other (first-order autoregressive), "
+        f"so {m} are worth {n} independent."
+    )
+
+
+def uncertainty_sentences(found: Uncertainty, unit: str) -> list[str]:
+    """Say plainly what the data determine and what they do not.
+
+    Args:
+        found: The uncertainty.
+        unit: Unit of a difference of the first output.
+    """
+    noise, best, is_trusted = found.noise, found.sample.best_mse, found.sample.is_trusted
+    said = [noise_sentence(noise, unit)]
+    sensor = math.inf if found.sensor is None else found.sensor
+    doubtful = misfit_threshold(sensor)
+    if noise.kind == "sensor" and math.sqrt(best) <= VANISHING * sensor:
+        said[0] += " The best fit is within a tenth of it, so that its residuals show no noise."
+    if noise.kind != "sensor" and doubtful is not None and best > doubtful:
+        said[0] += (
+            f" The best fit is off by {significant(math.sqrt(best) / sensor)} times the sensor's "
+            "uncertainty: rather a failed fit, or a model that lacks something, than noise. All that follows "
+            "takes it for noise."
+        )
+    if is_trusted:
+        said += _known(found)
+    (low, high), point = found.interval, found.point
+    is_outside = (point < low) | (point > high)
+    outside = [name for name, is_out in zip(found.parameters, is_outside, strict=True) if is_out]
+    if found.has_prior and noise.kind != "sensor" and outside:
+        said.append(
+            f"The calibrated {listed(outside)} may lie outside: a calibration weighs priors by the sensor's "
+            "uncertainty, and here the noise is as large as the residuals; --noise sensor weighs both alike."
+        )
+    if best < FITS_BETTER * found.mse:
+        said.append(
+            f"A simulated set fits better than the calibration: {significant(best)} instead of "
+            f"{significant(found.mse)} {squared(unit)}; calibrate with --from-stored begins with it."
+        )
+    # What nothing below may be trusted without comes first.
+    said.insert(len(said) if is_trusted else 0, _sample(found))
+    return said
+
+
+def _known(found: Uncertainty) -> list[str]:
+    kinds = (
+        ("determined", "The data determine {names}."),
+        ("narrowed", "They narrow down {names}."),
+        ("open", "They say next to nothing about {names}: any value in the bounds fits as well."),
+        ("prior", "They leave {names} about as uncertain as the prior did."),
+    )
+    said = []
+    for kind, text in kinds:
+        if names := [name for name, one in found.parameters.items() if one.known == kind]:
+            said.append(text.format(names=listed(names)))
+        elif kind == "determined":
+            said.append("The data determine no parameter on its own.")
+    said += [f"{pair.in_words}." for pair in found.pairs]
+    return said + [
+        f"Near the calibrated point moving these together hardly changes any output: {direction} (shares of "
+        "the ranges, rounded)."
+        for direction in found.null_directions
+    ]
+
+
+def _sample(found: Uncertainty) -> str:
+    """Say what the sample is worth and what it cost."""
+    ledger, sample = found.ledger, found.sample
+    cost = count(ledger.total, "model call")
+    if ledger.by_equations:
+        cost += "; the model's state equations gave the rest"
+    else:
+        cost += (
+            f": {ledger.n_differences} differences, {ledger.n_taught} that taught the surrogate, "
+            f"{ledger.n_sample} of the sample; {count(ledger.n_warm_start, 'simulation')} stored before "
+            "taught it, too"
+        )
+    worth = (
+        f"The sample of {count(sample.n, 'simulated parameter set')} is worth {sample.n_effective:.0f} of "
+        f"equal weight ({cost})."
+    )
+    if not sample.is_trusted:
+        worth += (
+            " That is too few: the surrogate does not know the posterior yet, so no interval is given but "
+            "the linearised ones, and bands are not to be trusted; go on with more --max-calls, and see "
+            "whether a prior contradicts the data."
+        )
+    return worth

@@ -1,0 +1,293 @@
+"""The tables of results, for the terminal and the page alike; every cell is written here."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simulation.parameters import ParameterSpace
+from studies.blocks import Column, Table, number
+from studies.calibration.sobol import SobolIndices, mean_over_time
+from studies.results.outcome import Outcome
+from studies.results.stage_results import Calibration, Screened, TunedSize, Uncertainty
+from studies.words.wording import (
+    MISSING,
+    bound_at,
+    cell_text,
+    compared_in,
+    count,
+    declared,
+    difference_unit,
+    digits_between,
+    percent,
+    shown_unit,
+    significant,
+    square_of,
+)
+
+if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
+    from simulation.case import Case
+
+FAR = 2.0
+"""So many standard deviations from what was known, the data contradict it."""
+HOW_KNOWN = {
+    "determined": "determined",
+    "narrowed": "narrowed",
+    "open": "not determined",
+    "prior": "as known before",
+    "unsure": "too few calls",
+}
+Calibrations = tuple[Outcome[Calibration], ...]
+Reader = Callable[[Outcome[Calibration]], str]
+Columns = Sequence[tuple[Column, Reader]]
+
+
+def best_of(calibrations: Calibrations) -> Outcome[Calibration] | None:
+    """Return the calibration of lowest MSE, of equals the cheapest; None without any."""
+    return min(calibrations, key=lambda one: (one.result.mse, one.result.n_calls_paper), default=None)
+
+
+def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
+    """Tabulate the best surrogate of each training-set size beside PCA + GP; None where nothing was tuned."""
+    found = [one for one in sorted(tuned, key=lambda one: one.n_train) if one.trial is not None]
+    if not found:
+        return None
+    unit, names = found[0].unit, tuple(dict.fromkeys(name for one in found for name in one.params))
+    errors = dict.fromkeys(name for one in found for name in one.metrics)
+    outputs = [name for name in errors if name.startswith("test/mae_")]
+    columns = (
+        number("n_train"),
+        *(number(name) for name in names),
+        number("MAE", unit),
+        number("P90", unit),
+        *(Column(name.removeprefix("test/").replace("_", " ", 1), True) for name in outputs),
+        number("gain"),
+        number("PCA+GP MAE", unit, 1),
+        number("PCA+GP P90", unit, 2),
+        number("complete", spare=3),
+        number("pruned", spare=3),
+        number("failed", spare=4),
+        number("MAE val", unit, 5),
+    )
+    rows = [
+        [
+            count(one.n_train),
+            *(cell_text(one.params.get(name)) for name in names),
+            significant(one.mae),
+            significant(one.p90),
+            *(significant(one.metrics.get(name)) for name in outputs),
+            percent(one.gain),
+            significant(one.baseline.get("test/mae")),
+            significant(one.baseline.get("test/p90")),
+            *(count(n) for n in (one.n_complete, one.n_pruned, one.n_failed)),
+            significant(one.metrics["val/mae"]),
+        ]
+        for one in found
+    ]
+    title = "Best surrogate per training-set size by validation error (MAE, P90: test set; gain over default)"
+    return Table(title, columns, rows)
+
+
+def sensitivity_table(found: SobolIndices) -> Table:
+    """Tabulate Sobol indices averaged over time."""
+    titles = ("first order", "±", "total order", "±")
+    columns = (Column("output"), Column("parameter"), *(number(title) for title in titles))
+    indices = (found.first_order, found.first_order_ci, found.total_order, found.total_order_ci)
+    means = [mean_over_time(one) for one in indices]
+    rows = [
+        [output, found.names[i], *(_index(float(mean[k, i])) for mean in means)]
+        for k, output in enumerate(found.output_names)
+        for i in found.order(k)
+    ]
+    return Table("Sobol indices, averaged over time", columns, rows)
+
+
+def _index(value: float) -> str:
+    return MISSING if np.isnan(value) else f"{value:.3f}"
+
+
+def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
+    """Tabulate calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
+    unit, mse_unit = difference_unit(case.outputs[0].unit), square_of(case.outputs[0].unit)
+    error = case.measurement.error_name
+    with_surrogate: Columns = [
+        (number("training set"), lambda one: count(one.result.n_train)),
+        (number("test MAE", unit), _screened(lambda found: found.errors.get("test/mae"), 2)),
+        (number("test P90", unit, 3), _screened(lambda found: found.errors.get("test/p90"), 2)),
+        (number(f"{error} surrogate", mse_unit, 2), _screened(lambda found: found.mse_surrogate)),
+        (number(f"{error} screened", mse_unit), _screened(lambda found: found.mse)),
+        (number("gap", mse_unit, 4), _screened(lambda found: found.gap)),
+        (number("polish calls"), lambda one: count(one.result.ledger["n_polish"])),
+    ]
+    has_surrogate = any(not one.result.is_adaptive for one in calibrations)
+    columns: Columns = [
+        *(with_surrogate if has_surrogate else []),
+        (number(f"final {error}", mse_unit), lambda one: significant(one.result.mse)),
+        (number("calls, paper's count"), lambda one: count(one.result.n_calls_paper)),
+        (number("calls, all", spare=1), lambda one: count(one.result.n_calls)),
+        *(
+            (number(f"calls to {known.mse:g}"), _calls_to(known.mse))
+            for known in case.references
+            if known.is_target
+        ),
+        (number("stored before", spare=6), lambda one: count(one.result.n_warm_start or 0)),
+        (number("time [s]", spare=5), lambda one: significant(one.wall_s, 2)),
+        (Column("method", False, 5), lambda one: one.result.method),
+    ]
+    rows = [[read(one) for _, read in columns] for one in calibrations]
+    best = best_of(calibrations)
+    emphasized = calibrations.index(best) if best is not None and len(rows) > 1 else None
+    title = (
+        f"Calibrations. {error} surrogate and {error} screened are both at the screened point: by the "
+        "surrogate and by the model. The paper's count leaves out validation and test sets; no count has "
+        "simulations stored before"
+    )
+    return Table(title, [one for one, _ in columns], rows, emphasized=emphasized)
+
+
+def _screened(read: Callable[[Screened], float | None], digits: int = 3) -> Reader:
+    """Return what reads the screening of a calibration; an adaptive one has none."""
+
+    def text(one: Outcome[Calibration]) -> str:
+        return MISSING if one.result.screening is None else significant(read(one.result.screening), digits)
+
+    return text
+
+
+def _calls_to(mse: float) -> Reader:
+    return lambda one: cell_text(one.result.history.calls_to(mse))
+
+
+def parameters_table(case: "Case", found: Calibration) -> Table:
+    """Tabulate the parameters of one calibration with their bounds, and what is to be said of each."""
+    screened, space = found.screening, case.parameter_space
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        number("estimate"),
+        *([] if screened is None else [number("screened", spare=2)]),
+        number(found.final),
+        number("lower bound", spare=1),
+        number("upper bound", spare=1),
+        Column(""),
+    )
+    places = space.to_unit(found.point)
+    rows = [
+        [
+            one.name,
+            shown_unit(one.unit),
+            _six(one.estimate),
+            *([] if screened is None else [_six(screened.theta[one.name])]),
+            _six(found.theta[one.name]),
+            _six(one.lower),
+            _six(one.upper),
+            _note(found, one.name, float(u)),
+        ]
+        for one, u in zip(space.parameters, places, strict=True)
+    ]
+    how = "adaptively" if found.is_adaptive else f"from {count(found.n_train, 'training simulation')}"
+    return Table(f"Parameters, calibrated {how}", columns, rows)
+
+
+def _six(value: float | None) -> str:
+    """Write a number as it can be typed into a case file."""
+    return MISSING if value is None else f"{value:.6g}"
+
+
+def _note(found: Calibration, name: str, u: float) -> str:
+    """Say what judges a calibrated value that lies at `u` between its bounds."""
+    note = "" if found.determined_by_data is None else found.determined_by_data.note(name)
+    if name in found.without_effect:
+        # A bound that it happens to lie at says nothing.
+        note = "the error hardly depends on it"
+    elif bound := bound_at(u):
+        # What others compensate goes to any bound: wider ones would not end that.
+        note = f"at the {bound} bound; {note}" if note else f"at the {bound} bound: widen it?"
+    known = None if found.prior is None else found.prior.parameters.get(name)
+    if known is None:
+        return note
+    before = f"known before: {known.in_words}, moved by {known.moved_deviations:+.2f} deviations"
+    if abs(known.moved_deviations) > FAR:
+        before += ": the data contradict it"
+    return "; ".join(filter(None, (note, before)))
+
+
+def validation_table(case: "Case", found: Calibration) -> Table | None:
+    """Tabulate the parameter sets on the validation period, one row per set and output; None without one."""
+    if found.validation is None or case.validation is None:
+        return None
+    unit = square_of(case.outputs[0].unit)
+    columns = (
+        Column("parameters"),
+        number(f"{found.error_name}, calibrated part", unit),
+        number(f"{found.error_name}, validation", unit),
+        Column("output"),
+        Column("unit"),
+        number("samples", spare=4),
+        number("RMSE"),
+        number("bias", spare=1),
+        number("CV(RMSE)", spare=3),
+        number("NMBE", spare=3),
+        number("NRMSE", spare=3),
+    )
+    rows: list[list[str]] = []
+    for name, point in found.validation.points.items():
+        errors = [significant(point.mse_window), significant(point.mse)]
+        if not point.outputs:
+            rows.append([name, *errors, "failed", "", *[MISSING] * 6])
+        for k, (output, fit) in enumerate(point.outputs.items()):
+            rows.append(
+                [
+                    name,
+                    *(errors if k == 0 else [MISSING] * 2),
+                    output,
+                    difference_unit(case.validation.outputs[k].unit),
+                    count(fit.n_samples),
+                    significant(fit.rmse),
+                    significant(fit.bias),
+                    percent(fit.cv_rmse),
+                    percent(fit.nmbe),
+                    percent(fit.nrmse),
+                ]
+            )
+    title = (
+        f"Validation {compared_in(case.validation)}, which the calibration did not see (bias: "
+        "simulated minus measured). No count of calls includes its simulations"
+    )
+    return Table(title, columns, rows)
+
+
+def intervals_table(space: ParameterSpace, found: Uncertainty) -> Table:
+    """Tabulate the intervals, one row per parameter; no two ends of an interval look equal."""
+    share = percent(found.level)
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        number("calibrated"),
+        number(f"{share} from"),
+        number("to"),
+        number("linearised from", spare=2),
+        number("to", spare=2),
+        number("lower bound", spare=1),
+        number("upper bound", spare=1),
+        Column("by the data"),
+    )
+    rows = []
+    for one, known, interval in zip(
+        space.parameters, found.parameters.values(), found.interval.T.tolist(), strict=True
+    ):
+        ends = [*interval, *known.linear]
+        pairs = [pair for pair in (interval, known.linear) if np.isfinite(pair[0])]
+        digits = max(digits_between(low, high, least=4) for low, high in pairs)
+        rows.append(
+            [
+                one.name,
+                shown_unit(one.unit),
+                *(significant(value, digits) for value in (known.calibrated, *ends)),
+                declared(one.lower),
+                declared(one.upper),
+                HOW_KNOWN[known.known if found.sample.is_trusted else "unsure"],
+            ]
+        )
+    title = f"{share} intervals of the parameters ({found.calibration})"
+    return Table(title, columns, rows)

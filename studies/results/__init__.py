@@ -1,0 +1,1 @@
+"""What stages come to: typed records, what made them, and their files."""

@@ -1,0 +1,164 @@
+"""What decides the trials of a study, kept as an attribute of the Optuna study itself.
+
+Any worker, on any machine of the project, can go on with a study from its name alone.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pelsvae.config import SurrogateConfig
+from simulation.arrays import digest_of
+from simulation.errors import InputError
+from studies.paths import ProjectPaths, size_name
+from studies.results.saved import plain
+from studies.search_space import STRICT, SearchParameter, SearchSpace, default_point
+
+ALIAS = "champion"
+"""Of the best surrogate of a size, in MLflow's registry."""
+SETS = ("train", "validation", "test")
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One Optuna study: the surrogate of one case for one training-set size.
+
+    Args:
+        label: what the user calls the case and profile; MLflow's experiment.
+        n_train: rows of the training design that are used (failed simulations among them are left out).
+        case_name: name of the case.
+        surrogate: named form of the surrogate: "refined", "paper" or "pca-gp".
+        settings: settings of the surrogate that every trial shares.
+        search: search space, as JSON values by hyperparameter.
+        sampler: Optuna's sampler: its name and arguments.
+        pruner: the pruner: its name and arguments.
+        seed: every random draw of the study derives from it and the training-set size.
+        parameter_names: physical parameters, in the order of the sets' columns. Length p.
+        lower: their lower bounds. Length p.
+        upper: their upper bounds. Length p.
+        is_log: whether each is logarithmic. Length p.
+        output_names: simulated outputs. Length k.
+        output_unit: unit of the first output and so of the errors.
+        output_scales: what an error of each output is multiplied with to be comparable with the first
+            output's. Length k. [first output's unit / output's unit]
+        files: place of the training, validation and test set, relative to the project.
+        digests: SHA-256 of case, FMU and the three sets.
+        enqueue: configurations that are tried first.
+        device: where the surrogate is trained; decides no trial.
+        max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
+        is_baseline: whether it is the PCA + GP that is fitted for comparison.
+        note: shown where the numbers are shown.
+    """
+
+    __pydantic_config__ = STRICT
+
+    label: str
+    n_train: int
+    case_name: str
+    surrogate: str
+    settings: dict[str, Any]
+    search: dict[str, dict[str, Any]]
+    sampler: dict[str, Any]
+    pruner: dict[str, Any]
+    seed: int
+    parameter_names: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    is_log: tuple[bool, ...]
+    output_names: tuple[str, ...]
+    output_unit: str
+    output_scales: tuple[float, ...]
+    files: dict[str, str]
+    digests: dict[str, str]
+    enqueue: tuple[dict[str, Any], ...] = ()
+    device: str = "auto"
+    max_trial_s: float | None = None
+    is_baseline: bool = False
+    note: str = ""
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over all that decides the trials and their errors."""
+        # What changes no trial is left out: another label or place of the files must not begin a new study.
+        idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
+        decisive = {name: value for name, value in self.to_dict().items() if name not in idle}
+        return digest_of(json.dumps(decisive, sort_keys=True))
+
+    @property
+    def name(self) -> str:
+        """Name of the Optuna study, for example `office-quick/n0064/1a2b3c4d`."""
+        kind = "-pca-gp" if self.is_baseline else ""
+        return f"{self.label}/{size_name(self.n_train)}{kind}/{self.digest[:8]}"
+
+    @property
+    def size(self) -> str:
+        """What runs and models of this study are called, for example `n0064`."""
+        return size_name(self.n_train) + (" PCA + GP" if self.is_baseline else "")
+
+    @property
+    def data(self) -> tuple[Any, ...]:
+        """What two studies share whose errors are compared: the label and the data sets."""
+        return self.label, self.n_train, *sorted(self.digests.items())
+
+    @property
+    def model_name(self) -> str:
+        """Name of the best surrogate in MLflow's registry."""
+        return f"{self.label}-{size_name(self.n_train)}"
+
+    @property
+    def model_uri(self) -> str:
+        """Address by which MLflow loads the best surrogate."""
+        return f"models:/{self.model_name}@{ALIAS}"
+
+    @cached_property
+    def base_config(self) -> SurrogateConfig:
+        """The settings that all trials share."""
+        # One thread each, as the workers share the cores.
+        return SurrogateConfig.from_dict(self.settings | {"device": self.device, "n_threads": 1})
+
+    @cached_property
+    def space(self) -> SearchSpace:
+        """The search space."""
+        return {name: SearchParameter(**declared) for name, declared in self.search.items()}
+
+    @property
+    def first_points(self) -> list[dict[str, Any]]:
+        """The configurations that are tried first: the surrogate's own, then those of the profile."""
+        default = default_point(self.space, self.base_config)
+        return [default, *(default | dict(point) for point in self.enqueue)]
+
+    def config(self, params: Mapping[str, Any]) -> SurrogateConfig:
+        """Return all settings of a trial's surrogate."""
+        plain = {"weight_decay": 0.0} if params.get("optimizer") == "adam" else {}  # adam has none
+        return self.base_config.replace(**(plain | dict(params)))
+
+    def trial_seed(self, place: int, use: int) -> int:
+        """Return the seed of a trial.
+
+        Args:
+            place: the trial's place in the study; a retry has that of the trial it repeats.
+            use: 0 for the sampler, 1 for the training.
+        """
+        # Hashed, not added: sums of seed and place would give two trials one stream.
+        return int(np.random.SeedSequence([self.seed, self.n_train, place, use]).generate_state(1)[0])
+
+    def file(self, paths: ProjectPaths, name: str) -> Path:
+        """Return where a set lies.
+
+        Raises:
+            InputError: the declared place lies outside the project.
+        """
+        file = (paths.root / self.files[name]).resolve()
+        # Resolved on both sides, as a link may lead outside too; a declaration may be another program's.
+        if not file.is_relative_to(paths.root.resolve()):
+            raise InputError(f"study {self.name!r}: {self.files[name]!r} lies outside the project")
+        return file
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the declaration as JSON values."""
+        return plain(self)

@@ -1,0 +1,1 @@
+"""What users read: lines on the terminal, and numbers, units and moments as text."""
