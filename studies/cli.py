@@ -22,7 +22,7 @@ from types import ModuleType
 from typing import NoReturn, TextIO
 
 import studies.commands
-from simulation.errors import InputError, MachineError, ReuseError
+from simulation.errors import InputError, MachineError
 from simulation.foreign_text import escaped, shortened
 from simulation.pool.safe_start import start_safely
 from studies.commands import options
@@ -32,8 +32,6 @@ OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
 """Characters of the line of an error: what it quotes may be a stranger's."""
 WIDEST = 110  # columns of help
-OF_THE_MOMENT = ("--again", "--json", "-q", "--quiet")
-"""Options that change no result: records leave them out of the command that made it."""
 DESCRIPTION, EXAMPLES, EPILOG = str(studies.commands.__doc__).partition("\nExamples:\n")
 EPILOG = f"{EXAMPLES.lstrip()}{EPILOG}"
 COMMANDS = (
@@ -71,13 +69,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         chosen = _understand(arguments)
         console = Console(as_json=chosen.json, quiet=chosen.quiet)
-        chosen.typed = shlex.join(["studies", *(word for word in arguments if word not in OF_THE_MOMENT)])
         check_surroundings()
         if argv is None:
             from studies.command_folder import give_temporary_folder
 
             give_temporary_folder()
-        return _run(chosen, console)
+        from studies.api.verb import begun_anew
+
+        run = command_module(chosen.command).run
+        return int(begun_anew(lambda: run(chosen, console), console))
     except SystemExit as done:  # help, version
         return int(done.code or 0)
     except (Exception, KeyboardInterrupt) as error:
@@ -88,16 +88,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         except OSError:
             # The report cannot be written either.
             return FAILED
-
-
-def _run(chosen: argparse.Namespace, console: Console) -> int:
-    """Run a command; anew where simulations that it began with were wrong and are removed."""
-    run = command_module(chosen.command).run
-    try:
-        return int(run(chosen, console))
-    except ReuseError as error:
-        console.warn(f"{error}; the command begins anew")
-        return int(run(chosen, console))
 
 
 def is_interrupt(error: BaseException | None) -> bool:

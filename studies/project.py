@@ -46,6 +46,11 @@ class FinishedCalibration:
     outcome: Outcome[Calibration]
     changed_since: Sequence[str]
 
+    @classmethod
+    def of(cls, paths: ProjectPaths, label: str, outcome: Outcome[Calibration]) -> "FinishedCalibration":
+        """Return it with the files that hold something else now."""
+        return cls(label, outcome, changed_files(paths, outcome.provenance))
+
     @property
     def found(self) -> Calibration:
         """Its result."""
@@ -123,11 +128,7 @@ def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
     """
     files = sorted((paths.mlruns / "results").glob("*/calibrate-*.json"))
     outcomes = [(file.parent.name, read_outcome(file.parent, file.stem, Calibration)) for file in files]
-    calibrations = [
-        FinishedCalibration(label, one, changed_files(paths, one.provenance))
-        for label, one in outcomes
-        if one is not None
-    ]
+    calibrations = [FinishedCalibration.of(paths, label, one) for label, one in outcomes if one is not None]
     studies = read_studies(paths)
     if which is None:
         return Project(paths, studies, calibrations)

@@ -6,7 +6,7 @@ they were.
 
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,7 +121,7 @@ def compare(recorded: Numbers, now: Numbers) -> list[Compared]:
     return [_compared(name, value, again.get(name)) for name, value in was]
 
 
-def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> None:
+def show_reproduction(console: Console, run_id: str, rows: Sequence[Compared]) -> None:
     """Print the numbers side by side and the verdict."""
     columns = [Column("number"), Column("recorded", True), Column("now", True), Column("relative", True)]
     cells = [

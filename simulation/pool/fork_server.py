@@ -3,7 +3,6 @@
 It imports modules of this package alone: what a user may change between two models, supervisors import.
 """
 
-import atexit
 import contextlib
 import importlib
 import os
@@ -12,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+import weakref
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import recv_handle, send_handle
 from pathlib import Path
@@ -104,7 +104,6 @@ def hang_up(connection: Connection) -> None:
         near.shutdown(socket.SHUT_WR)
 
 
-@atexit.register
 def end_fork_servers() -> None:
     """End what supervisors are forked from, and wait for those that exist; the next one starts another."""
     with _lock:
@@ -113,6 +112,11 @@ def end_fork_servers() -> None:
             hang_up(server.control)
             server.process.wait(_ENDING_S)
             server.control.close()
+
+
+# At exit, after the processes that no one has closed: finalizers run in the reverse order of their making,
+# and this one is made before any of theirs. A function of atexit would run before or after all of them.
+weakref.finalize(end_fork_servers, end_fork_servers)
 
 
 def main(descriptor: int) -> None:

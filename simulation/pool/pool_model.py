@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import closing
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from time import monotonic
@@ -25,6 +26,7 @@ from simulation.pool.worker_process import (
     Factory,
     Facts,
     NewProcess,
+    Question,
     known_facts,
     packed,
 )
@@ -72,6 +74,40 @@ class Finished(NamedTuple):
     rows: IntArray
     answer: Trajectories
     is_first: BoolArray
+
+
+@dataclass
+class Durations:
+    """What simulations have taken so far.
+
+    Attributes:
+        opening_s: Least time that a process has taken to start and to open the model. [s]
+        n_openings: Rows that had a new process.
+        opened_s: What that took in all. [s]
+        row_s: Time of a simulation without what opens the model; None where nothing was simulated yet. [s]
+        slowest_s: The slowest simulation; None likewise. [s]
+        n_answers: Chunks that were answered.
+    """
+
+    opening_s: float = inf
+    n_openings: int = 0
+    opened_s: float = 0.0
+    row_s: float | None = None
+    slowest_s: float | None = None
+    n_answers: int = 0
+
+    def note(self, answer: ChunkAnswer) -> None:
+        """Take note of what a chunk took."""
+        self.opening_s = min(self.opening_s, answer.opening_s)
+        if n := int(answer.is_first.sum()):
+            self.n_openings += n
+            self.opened_s += n * self.opening_s
+        if answer.row_s is not None:
+            self.n_answers += 1
+            self.slowest_s = max(self.slowest_s or 0.0, answer.row_s)
+            # The first row may have loaded something. Other work on the machine only ever adds to a time.
+            if self.n_answers > 1:
+                self.row_s = min(answer.row_s, 0.5 * ((self.row_s or answer.row_s) + answer.row_s))
 
 
 class PoolModel:
@@ -130,10 +166,7 @@ class PoolModel:
             digest = send_file(file) if send_file is not None and isinstance(file, Path) else ""
             self._remote = RemoteModel(packed(make_model), digest, self._policy)
         self.always_new = False
-        self._opening_s, self._n_openings, self._opened_s = inf, 0, 0.0
-        self._row_s: float | None = None
-        self._slowest_s: float | None = None
-        self._n_answers = 0
+        self._seen = Durations()
         self._has_warned = False
 
     @property
@@ -145,12 +178,12 @@ class PoolModel:
     @property
     def opening_s(self) -> float:
         """Least time that a process has taken to start and to open the model, infinite for none. [s]."""
-        return self._opening_s
+        return self._seen.opening_s
 
     @property
     def simulation_s(self) -> float | None:
         """Time of a simulation without what opens the model, None where nothing was simulated yet. [s]."""
-        return self._row_s
+        return self._seen.row_s
 
     @property
     def n_processes(self) -> int:
@@ -161,7 +194,7 @@ class PoolModel:
     def _known(self) -> Facts:
         if self._facts is None:
             try:
-                facts = self._submit(np.empty((0, 0)), 0.0, NewProcess.WHEN_NEEDED).result()
+                facts = self._submit(Question(np.empty((0, 0)), 0.0, None)).result()
             except BaseException:
                 self.close()
                 raise
@@ -245,22 +278,20 @@ class PoolModel:
 
     def _chosen(self, n: int) -> NewProcess:
         """Return which of n rows begin in a new process."""
-        unnoticed_s = _UNNOTICED_S / n if self._opened_s < _UNNOTICED_IN_ALL_S else 0.0
-        allowed_s = max(unnoticed_s, _SMALL_SHARE * (self._row_s or 0.0))
-        is_known = self._n_openings >= _N_OPENINGS or self._opening_s > _SURELY_SLOW_S
-        if self.always_new or not is_known or self._opening_s <= allowed_s:
+        seen = self._seen
+        unnoticed_s = _UNNOTICED_S / n if seen.opened_s < _UNNOTICED_IN_ALL_S else 0.0
+        allowed_s = max(unnoticed_s, _SMALL_SHARE * (seen.row_s or 0.0))
+        is_known = seen.n_openings >= _N_OPENINGS or seen.opening_s > _SURELY_SLOW_S
+        if self.always_new or not is_known or seen.opening_s <= allowed_s:
             return NewProcess.EACH_ROW
         return NewProcess.WHEN_NEEDED
 
-    def _submit(
-        self, theta: FloatArray, budget_s: float, new_process: NewProcess
-    ) -> "Future[ChunkAnswer | Facts]":
-        question = theta, budget_s, self._slowest_s, new_process
+    def _submit(self, question: Question) -> "Future[ChunkAnswer | Facts]":
         if self._executor is not None and self._remote is not None:
-            return self._executor.submit(self._remote.simulate, *question)
+            return self._executor.submit(self._remote.simulate, question)
         if self._threads is None:
             self._threads = ThreadPoolExecutor(self.n_workers, "simulate")
-        return self._threads.submit(self._processes.simulate, *question)
+        return self._threads.submit(self._processes.simulate, question)
 
     def _trajectories(self, theta: FloatArray, y: FloatArray, failures: tuple[str, ...]) -> Trajectories:
         names = self.parameter_space.names
@@ -308,8 +339,9 @@ class _Batch:
             else:
                 rows = self.queue.take(self._row_s, model.n_workers)
                 budget_s = _MAX_OVERRUN * max(self._chunk_s, len(rows) * (self._row_s or 0.0))
-            future = model._submit(self._theta[rows.start : rows.stop], budget_s, self._new_process)
-            self.running[future] = rows, monotonic(), model._slowest_s
+            theta, slowest_s = self._theta[rows.start : rows.stop], model._seen.slowest_s
+            future = model._submit(Question(theta, budget_s, slowest_s, self._new_process))
+            self.running[future] = rows, monotonic(), slowest_s
 
     @property
     def _new_process(self) -> NewProcess:
@@ -318,10 +350,10 @@ class _Batch:
     @property
     def _row_s(self) -> float | None:
         """Expected time of a row with what opens its process, None where nothing is known. [s]."""
-        model = self._model
-        if model._row_s is None or self._new_process is not NewProcess.EACH_ROW:
-            return model._row_s
-        return model._row_s + model._opening_s
+        seen = self._model._seen
+        if seen.row_s is None or self._new_process is not NewProcess.EACH_ROW:
+            return seen.row_s
+        return seen.row_s + seen.opening_s
 
     def _worth_running(self) -> int:
         model, processes = self._model, self._model._processes
@@ -329,7 +361,7 @@ class _Batch:
         if model._executor is not None:
             # One is on its way while one is simulated.
             return 2 * n
-        if self._row_s is not None and model._n_answers >= _N_SURE:
+        if self._row_s is not None and model._seen.n_answers >= _N_SURE:
             row_s = self._row_s
         opened_s = monotonic() - max(list(processes.opened.values()), default=inf)
         if (spent_s := min(self._longest_s, opened_s)) > max(row_s, _SURELY_SLOW_S):
@@ -374,16 +406,7 @@ class _Batch:
         assert isinstance(answer, ChunkAnswer), "the answer to rows"
         done = rows[: len(answer.failures)]
         self.queue.put(rows[len(done) :])
-        model._opening_s = min(model._opening_s, answer.opening_s)
-        n_openings = int(answer.is_first.sum())
-        model._n_openings += n_openings
-        model._opened_s += n_openings * model._opening_s if n_openings else 0.0
-        if answer.row_s is not None:
-            model._n_answers += 1
-            model._slowest_s = max(model._slowest_s or 0.0, answer.row_s)
-            # The first row may have loaded something. Other work on the machine only ever adds to a time.
-            if model._n_answers > 1:
-                model._row_s = min(answer.row_s, 0.5 * ((model._row_s or answer.row_s) + answer.row_s))
+        model._seen.note(answer)
         theta = self._theta[done.start : done.stop].copy()
         trajectories = model._trajectories(theta, answer.y, answer.failures)
         yield Finished(np.array(done, dtype=np.int64), trajectories, answer.is_first)
@@ -403,7 +426,7 @@ class _Batch:
         if model._has_warned or spent_s < _SLOW_S:
             return
         rows, _, slowest_s = min(self.running.values(), key=lambda one: one[1])
-        if spent_s < (_SLOW_FACTOR + len(rows)) * (model._row_s or 0.0):
+        if spent_s < (_SLOW_FACTOR + len(rows)) * (model._seen.row_s or 0.0):
             return
         model._has_warned = True
         which = f"row {rows.start}" if len(rows) == 1 else f"one of rows {rows.start} to {rows.stop - 1}"

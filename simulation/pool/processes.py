@@ -12,10 +12,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.fork_server import KNOWN, hang_up, spawn_supervisor
-from simulation.pool.worker_process import ChunkAnswer, Factory, Facts, NewProcess, Opened
+from simulation.pool.worker_process import ChunkAnswer, Factory, Facts, Opened, Question
 
 # For killing what is left and removing its files, however many they are and however slow the disk. [s]
 _ENDING_S = 60.0
@@ -62,20 +61,11 @@ class Processes:
         """Number of processes now."""
         return len(self._all)
 
-    def simulate(
-        self,
-        theta: FloatArray,
-        budget_s: float,
-        slowest_s: float | None,
-        new_process: NewProcess = NewProcess.WHEN_NEEDED,
-    ) -> ChunkAnswer | Facts:
+    def simulate(self, question: Question) -> ChunkAnswer | Facts:
         """Have rows simulated.
 
         Args:
-            theta: Parameters. Shape (n, p). [per parameter]
-            budget_s: Time after which no further row is begun. [s]
-            slowest_s: See ExecutionPolicy.limit_s. [s]
-            new_process: Which rows are the first of their process.
+            question: The rows.
 
         Returns:
             What became of them; where there are none, what the model looks like.
@@ -87,7 +77,7 @@ class Processes:
         connection = self._taken()
         message: Any = None
         try:
-            connection.send((theta, budget_s, slowest_s, new_process))
+            connection.send(question)
             while isinstance(message := connection.recv(), Opened):
                 self.opened[connection], self._facts = monotonic(), message.facts
                 KNOWN.add(message.known)
@@ -104,7 +94,7 @@ class Processes:
             raise
         self._idle.append(connection)
         answer: ChunkAnswer = message
-        return answer if len(theta) or self._facts is None else self._facts
+        return answer if len(question.theta) or self._facts is None else self._facts
 
     def _taken(self) -> Connection:
         with contextlib.suppress(IndexError):
@@ -157,25 +147,16 @@ class RemoteModel:
     digest: str
     policy: ExecutionPolicy
 
-    def simulate(
-        self,
-        theta: FloatArray,
-        budget_s: float,
-        slowest_s: float | None,
-        new_process: NewProcess = NewProcess.WHEN_NEEDED,
-    ) -> ChunkAnswer | Facts:
+    def simulate(self, question: Question) -> ChunkAnswer | Facts:
         """Simulate rows in a supervised process of the machine that this is called on.
 
         Args:
-            theta: Parameters. Shape (n, p). [per parameter]
-            budget_s: Time after which no further row is begun. [s]
-            slowest_s: See ExecutionPolicy.limit_s. [s]
-            new_process: Which rows are the first of their process.
+            question: The rows.
 
         Returns:
             See Processes.simulate.
         """
-        return self._processes().simulate(theta, budget_s, slowest_s, new_process)
+        return self._processes().simulate(question)
 
     def _processes(self) -> Processes:
         # Not above: the traceback of an error there would keep the processes of all models alive.

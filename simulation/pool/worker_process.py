@@ -20,7 +20,7 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -120,6 +120,22 @@ class NewProcess(Enum):
     WHEN_NEEDED = "rows share the process that is there; it starts the FMU over between them"
     AT_FIRST = "the first row has a new process, which the others share"
     EACH_ROW = "each row has a process of its own"
+
+
+class Question(NamedTuple):
+    """Rows to be simulated.
+
+    Attributes:
+        theta: Parameters; without rows, what the model looks like is asked. Shape (n, p). [per parameter]
+        budget_s: Time after which no further row is begun. [s]
+        slowest_s: See ExecutionPolicy.limit_s. [s]
+        new_process: Which rows are the first of their process.
+    """
+
+    theta: FloatArray
+    budget_s: float
+    slowest_s: float | None
+    new_process: NewProcess = NewProcess.WHEN_NEEDED
 
 
 class End(Enum):

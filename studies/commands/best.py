@@ -24,7 +24,6 @@ import argparse
 
 from simulation.errors import InputError
 from studies.commands import options
-from studies.paths import find_project
 from studies.words.console import Console
 
 OPTIONS = (
@@ -43,14 +42,15 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.project import best_blocks, best_document, read_project
+    from studies.api.projects import best
+    from studies.project import best_blocks
 
     if chosen.n_train is not None and (chosen.write or [""])[0] != "onnx":
         raise InputError("--n-train chooses the surrogate of --write onnx; write that, or leave it out")
     if chosen.experiment is not None and (chosen.write or ["onnx"])[0] == "onnx":
         raise InputError("--experiment chooses the values of --write; write them, or leave it out")
-    project = read_project(find_project(chosen.storage), chosen.which)
-    document = best_document(project)
+    result = best(chosen.which, storage=chosen.storage)
+    project, document = result.project, result.numbers
     if chosen.write:
         from studies.exports.written_file import write_best
 

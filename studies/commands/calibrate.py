@@ -40,23 +40,20 @@ Examples:
 
 import argparse
 
-from simulation.errors import InputError
 from studies.commands import options
+from studies.commands.hand_over import document, keywords_of
 from studies.commands.options import Option
-from studies.commands.task import hand_over, open_task
 from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
     Option(
         "--method",
-        choices=("adaptive", "paper"),
         help="adaptive (default): fewest FMU calls, no training set; "
         "paper (default with --n-train): screen on the surrogate, polish on the FMU",
     ),
     Option(
         "--parallel",
-        type=options.whole(1, 64),
         metavar="Q",
         help="adaptive: simulations per round; default: 1",
     ),
@@ -71,7 +68,7 @@ OPTIONS = (
         action=argparse.BooleanOptionalAction,
         help="adaptive: learn state equations or not; default: yes if the FMU gives its states",
     ),
-    Option("--target", type=options.positive, metavar="MSE", help="adaptive: go on until this error"),
+    Option("--target", metavar="MSE", help="adaptive: go on until this error"),
     options.sizes("paper: training-set sizes; default: all that have a surrogate"),
     *options.calls("most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"),
 )
@@ -79,53 +76,14 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    if chosen.method == "adaptive" and chosen.n_train:
-        raise InputError(
-            "--n-train belongs to --method paper; the adaptive method has no training set, remove --n-train"
-        )
-    if chosen.method == "paper" or chosen.n_train:
-        return _from_surrogates(chosen, console)
-    from studies.doctor.begin import say_begin
-    from studies.stages.adaptive_stage import adaptive_stage
+    from studies.api.calibrations import calibrate
     from studies.stages.shown import show_calibrations
 
-    task = open_task(chosen, console)
-    say_begin(task.case, console)
-    outcome = adaptive_stage(
-        task,
-        max_calls=chosen.max_calls,
-        n_parallel=chosen.parallel or 1,
-        target_mse=chosen.target,
-        from_stored=bool(chosen.from_stored),
-        state_equations=chosen.state_equations,
-        again=chosen.again,
-    )
-    show_calibrations(task, [outcome])
+    result = calibrate(**keywords_of(chosen, console))
+    task = result.task
+    show_calibrations(task, result.stages)
+    if not result.outcome.result.is_adaptive:
+        return document(task, "calibrate", result.stages)
     targets = {known.mse for known in task.case.references if known.is_target} | {chosen.target} - {None}
-    history = outcome.result.history
-    return hand_over(
-        task,
-        "calibrate",
-        [outcome],
-        method="adaptive",
-        calls_to_target={f"{target:g}": history.calls_to(target) for target in sorted(targets)},
-    )
-
-
-def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
-    for name in ("parallel", "from_stored", "state_equations", "target"):
-        if (value := getattr(chosen, name)) is not None:
-            option = f"--{'no-' if value is False else ''}{name.replace('_', '-')}"
-            raise InputError(
-                f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
-            )
-    from studies.doctor.begin import say_begin
-    from studies.stages.calibrate_stage import calibrate_stage, tuned_with_best
-    from studies.stages.shown import show_calibrations
-
-    task = open_task(chosen, console)
-    say_begin(task.case, console)
-    sizes = tuned_with_best(task, chosen.n_train)
-    outcomes = [calibrate_stage(task, n_train, again=chosen.again) for n_train in sizes]
-    show_calibrations(task, outcomes)
-    return hand_over(task, "calibrate", outcomes)
+    calls = {f"{target:g}": result.outcome.result.history.calls_to(target) for target in sorted(targets)}
+    return document(task, "calibrate", result.stages, method="adaptive", calls_to_target=calls)

@@ -20,7 +20,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import FAILED, OK, open_task
+from studies.commands.hand_over import FAILED, OK, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -33,14 +33,12 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    from studies.api.judgements import check
     from studies.doctor import show_diagnosis
     from studies.results.saved import plain
-    from studies.stages.check_stage import check_stage
 
-    task = open_task(chosen, console)
-    console.say(options.NATIVE_CODE)
-    diagnosis = check_stage(task, again=True, is_thorough=chosen.thorough).result
-    show_diagnosis(console, task.label, diagnosis)
-    document = {"command": "check", "label": task.label, "sound": diagnosis.is_sound}
-    console.document(document | plain(diagnosis))
-    return OK if diagnosis.is_sound else FAILED
+    result = check(**keywords_of(chosen, console))
+    label, diagnosis = result.task.label, result.outcome.result
+    show_diagnosis(console, label, diagnosis)
+    console.document({"command": "check", "label": label, "sound": result.is_sound} | plain(diagnosis))
+    return OK if result.is_sound else FAILED

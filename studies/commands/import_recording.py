@@ -16,8 +16,8 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
+from studies.commands.hand_over import OK
 from studies.commands.options import Option
-from studies.commands.task import OK
 from studies.embedded import adopt_cases
 from studies.paths import find_project, mark_project
 from studies.words.console import Column, Console

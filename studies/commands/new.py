@@ -18,10 +18,10 @@ Examples:
 import argparse
 from pathlib import Path
 
-from studies.commands import options
 from studies.commands.options import Option
 from studies.paths import find_project
 from studies.words.console import Console
+from studies.words.wording import NATIVE_CODE
 
 OPTIONS = (
     Option("fmu", type=Path, metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0"),
@@ -56,5 +56,5 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         list_variables(chosen, console)
     else:
         new_case(chosen, paths, console)
-        console.say(options.NATIVE_CODE)
+        console.say(NATIVE_CODE)
     return 0

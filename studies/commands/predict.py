@@ -23,9 +23,8 @@ Examples:
 import argparse
 from pathlib import Path
 
-from simulation.errors import InputError
 from studies.commands import options
-from studies.commands.task import hand_over, open_task
+from studies.commands.hand_over import document, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -43,19 +42,15 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.predict_stage import predict_stage
-    from studies.stages.uncertainty_stage import calibration_to_judge
+    from studies.api.judgements import predict
 
-    if chosen.inputs is None and chosen.experiment is None:
-        raise InputError("predict needs --inputs FILE, or --experiment NAME of a case with experiments")
-    task = open_task(chosen, console)
-    calibration = calibration_to_judge(task, chosen.method, chosen.n_train)
-    outcome = predict_stage(task, calibration, chosen.inputs, chosen.experiment)
-    found, table = outcome.result, task.paths.root / outcome.result.table
+    result = predict(**keywords_of(chosen, console))
+    task, found = result.task, result.outcome.result
+    table = task.paths.root / found.table
     console.result(f"Table: {task.paths.show(table)}")
     console.result(f"Picture: {task.paths.show(table.with_suffix('.png'))}")
     if found.level is None:
         console.result(f"No bands: type studies uncertainty {task.command}, then this command again")
     if found.n_failed:
         console.warn(f"{found.n_failed} of {found.n_sample} simulations of the bands failed and are left out")
-    return hand_over(task, "predict", [outcome])
+    return document(task, "predict", [result.outcome])

@@ -11,7 +11,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import hand_over, open_task
+from studies.commands.hand_over import document, keywords_of
 from studies.words.console import Console
 
 OPTIONS = options.CASE
@@ -19,9 +19,9 @@ OPTIONS = options.CASE
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.report_stage import report_stage, show_report
+    from studies.api.judgements import report
+    from studies.stages.report_stage import show_report
 
-    task = open_task(chosen, console)
-    outcome = report_stage(task)
-    show_report(task, outcome.result)
-    return hand_over(task, "report", [outcome])
+    result = report(**keywords_of(chosen, console))
+    show_report(result.task, result.outcome.result)
+    return document(result.task, "report", [result.outcome])

@@ -19,8 +19,7 @@ import argparse
 from dataclasses import asdict
 
 from studies.commands import options
-from studies.commands.task import FAILED, OK
-from studies.paths import find_project
+from studies.commands.hand_over import FAILED, OK, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -31,13 +30,12 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from simulation.pool.pool_model import available_cores
-    from studies.reproduction import reproduce, show_reproduction
+    from studies.api.projects import reproduce
+    from studies.reproduction import show_reproduction
 
-    jobs = chosen.jobs or available_cores()
-    run_id, rows = reproduce(find_project(chosen.storage), chosen.run, console, n_jobs=jobs)
-    show_reproduction(console, run_id, rows)
-    is_equal = all(row.is_equal for row in rows)
-    numbers = [asdict(row) for row in rows]
-    console.document({"command": "reproduce", "run": run_id, "equal": is_equal, "numbers": numbers})
-    return OK if is_equal else FAILED
+    result = reproduce(**keywords_of(chosen, console))
+    show_reproduction(console, result.run_id, result.rows)
+    numbers = [asdict(row) for row in result.rows]
+    document = {"command": "reproduce", "run": result.run_id, "equal": result.is_equal, "numbers": numbers}
+    console.document(document)
+    return OK if result.is_equal else FAILED

@@ -31,8 +31,10 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
 from studies.commands import options
+from studies.commands.hand_over import OK
 from studies.commands.options import Option
-from studies.commands.task import OK, open_task
+from studies.keywords import whole
+from studies.opening import open_task
 from studies.paper import ALIASES, DRAWN, ITEMS, NEEDS_FIG6
 from studies.paths import find_project
 from studies.words.console import Column, Console
@@ -52,9 +54,7 @@ OPTIONS = (
     Option("--only", nargs="+", choices=WORDS, metavar="ITEM", help=f"only these items: {', '.join(WORDS)}"),
     Option("--budget", choices=("small", "full"), metavar="NAME", help="small (default) or full"),
     Option("--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"),
-    Option(
-        "--seeds", type=options.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
-    ),
+    Option("--seeds", type=whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"),
     Option(
         "--from",
         dest="source",
@@ -156,12 +156,14 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         n_seeds=chosen.seeds,
     )
 
-    def opener(*, window: tuple[float, float] | None = None, **changes: Any) -> "Task":
-        words = {"profile": asked, "window": None if window is None else options.Window(*window), **changes}
-        return open_task(argparse.Namespace(**vars(chosen) | words), console)
-
     words = [str(chosen.case)]
     for name in ("profile", "budget", "trials", "seeds", "seed", "hyperparameters"):
         value = getattr(chosen, name)
         words += [] if value is None else [f"--{name}", str(value)]
-    return Plan(opener=opener, budget=budget, words=" ".join(words), trials=chosen.hyperparameters)
+    typed = " ".join(words)
+
+    def opener(*, window: tuple[float, float] | None = None, **changes: Any) -> "Task":
+        given = {**vars(chosen), "profile": asked, "window": window, **changes}
+        return open_task(chosen.command, given, console, f"studies reproduce-paper {typed}")
+
+    return Plan(opener=opener, budget=budget, words=typed, trials=chosen.hyperparameters)

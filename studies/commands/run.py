@@ -15,7 +15,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import FAILED, OK, hand_over, open_task
+from studies.commands.hand_over import FAILED, document, foretold, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -27,35 +27,24 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    task = open_task(chosen, console)
     if chosen.dry_run:
-        from studies.forecast import foretell
-
-        foretell(task, "run")
-        return OK
-    from studies.doctor import say_warnings, show_diagnosis
-    from studies.stages.calibrate_stage import calibrate_stage
-    from studies.stages.check_stage import check_stage
-    from studies.stages.learn import require_tuning, show_tuning, tune_stage
-    from studies.stages.report_stage import report_stage, show_report
+        return foretold(chosen, console)
+    from studies.api import chain
+    from studies.api.judgements import UnsoundError
+    from studies.doctor import show_diagnosis
+    from studies.stages.learn import show_tuning
+    from studies.stages.report_stage import show_report
     from studies.stages.shown import show_calibrations
-    from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
 
-    require_tuning(task)
-    checked = check_stage(task)
-    diagnosis = checked.result
-    if not diagnosis.is_sound:
-        show_diagnosis(console, task.label, diagnosis)
-        document = {"command": "run", "label": task.label, "stages": [checked.to_dict(task.paths)]}
-        console.document(document, of=(task, [checked]))
+    try:
+        result = chain.run(**keywords_of(chosen, console))
+    except UnsoundError as error:
+        task, checked = error.checked.task, error.checked.outcome
+        show_diagnosis(console, task.label, checked.result)
+        console.document({"command": "run", "label": task.label, "stages": [checked.to_dict(task.paths)]})
         return FAILED
-    say_warnings(console, diagnosis)
-    simulated = simulate_stage(task)
-    sensitivity = sensitivity_stage(task)
-    tuned = tune_stage(task, simulated)
-    calibrated = [calibrate_stage(task, n_train, again=chosen.again) for n_train in task.profile.data.n_train]
-    reported = report_stage(task)
-    show_tuning(task, tuned.result)
-    show_calibrations(task, calibrated)
-    show_report(task, reported.result)
-    return hand_over(task, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])
+    task, stages = result.task, result.stages
+    show_tuning(task, result.tuning.tuned)
+    show_calibrations(task, [one.outcome for one in result.calibrations])
+    show_report(task, stages[-1].result)
+    return document(task, "run", stages)

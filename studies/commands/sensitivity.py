@@ -12,7 +12,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import hand_over, open_task
+from studies.commands.hand_over import document, keywords_of
 from studies.words.console import Console
 
 OPTIONS = options.SIMULATED
@@ -20,11 +20,11 @@ OPTIONS = options.SIMULATED
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    from studies.api.chain import sensitivity
     from studies.reporting.tables import sensitivity_table
-    from studies.stages.simulate_stage import sensitivity_stage
 
-    task = open_task(chosen, console)
-    outcome = sensitivity_stage(task)
-    console.show([sensitivity_table(outcome.result)])
-    mean = {name: {"first": first, "total": total} for name, (first, total) in outcome.result.mean.items()}
-    return hand_over(task, "sensitivity", [outcome], mean_indices=mean)
+    result = sensitivity(**keywords_of(chosen, console))
+    found = result.outcome.result
+    console.show([sensitivity_table(found)])
+    mean = {name: {"first": first, "total": total} for name, (first, total) in found.mean.items()}
+    return document(result.task, "sensitivity", [result.outcome], mean_indices=mean)

@@ -21,7 +21,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import hand_over, open_task
+from studies.commands.hand_over import document, keywords_of
 from studies.words.console import Console
 
 OPTIONS = options.SIMULATED
@@ -29,9 +29,9 @@ OPTIONS = options.SIMULATED
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.simulate_stage import show_sets, simulate_stage
+    from studies.api.chain import simulate
+    from studies.stages.simulate_stage import show_sets
 
-    task = open_task(chosen, console)
-    outcome = simulate_stage(task)
-    show_sets(task, outcome.result)
-    return hand_over(task, "simulate", [outcome])
+    result = simulate(**keywords_of(chosen, console))
+    show_sets(result.task, result.outcome.result)
+    return document(result.task, "simulate", [result.outcome])

@@ -15,7 +15,6 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.paths import find_project
 from studies.words.console import Console
 
 OPTIONS = (options.WHICH,)
@@ -23,9 +22,10 @@ OPTIONS = (options.WHICH,)
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.project import read_project, status_blocks, status_document
+    from studies.api.projects import status
+    from studies.project import status_blocks, status_document
 
-    project = read_project(find_project(chosen.storage), chosen.which)
+    project = status(chosen.which, storage=chosen.storage).project
     console.show(status_blocks(project))
     console.document(status_document(project))
     return 0

@@ -19,7 +19,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import OK, hand_over, open_task
+from studies.commands.hand_over import document, foretold, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -30,17 +30,11 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    task = open_task(chosen, console)
     if chosen.dry_run:
-        from studies.forecast import foretell
+        return foretold(chosen, console)
+    from studies.api.chain import tune
+    from studies.stages.learn import show_tuning
 
-        foretell(task, "tune")
-        return OK
-    from studies.stages.learn import require_tuning, show_tuning, tune_stage
-    from studies.stages.simulate_stage import simulate_stage
-
-    require_tuning(task)
-    simulated = simulate_stage(task)
-    tuned = tune_stage(task, simulated)
-    show_tuning(task, tuned.result)
-    return hand_over(task, "tune", [simulated, tuned])
+    result = tune(**keywords_of(chosen, console))
+    show_tuning(result.task, result.tuned)
+    return document(result.task, "tune", result.stages)

@@ -19,6 +19,7 @@ import os
 from pathlib import Path
 
 from studies.commands import options
+from studies.keywords import whole
 from studies.paths import find_project
 from studies.words.console import Console
 
@@ -31,7 +32,7 @@ OPTIONS = (
     ),
     options.Option(
         "--port",
-        type=options.whole(1024, 65535),
+        type=whole(1024, 65535),
         metavar="N",
         help="port; default: 5000 or the next free port",
     ),

@@ -24,7 +24,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.task import hand_over, open_task
+from studies.commands.hand_over import document, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -32,7 +32,6 @@ OPTIONS = (
     *options.CALIBRATION,
     options.Option(
         "--noise",
-        choices=("correlated", "white", "sensor"),
         default="correlated",
         help="model of the residuals; default: correlated",
     ),
@@ -42,14 +41,9 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    from studies.api.judgements import uncertainty
     from studies.stages.shown import show_uncertainty
-    from studies.stages.uncertainty_stage import calibration_to_judge, uncertainty_stage, usual_calls
 
-    task = open_task(chosen, console)
-    calibration = calibration_to_judge(task, chosen.method, chosen.n_train)
-    max_calls = chosen.max_calls or usual_calls(task.case.parameter_space.n_parameters)
-    outcome = uncertainty_stage(
-        task, calibration, noise=chosen.noise, max_calls=max_calls, again=chosen.again
-    )
-    show_uncertainty(task, outcome.result)
-    return hand_over(task, "uncertainty", [outcome])
+    result = uncertainty(**keywords_of(chosen, console))
+    show_uncertainty(result.task, result.outcome.result)
+    return document(result.task, "uncertainty", [result.outcome])

@@ -27,12 +27,14 @@ class Finding:
         level: ok, warn (the study can go on) or fail (it cannot).
         found: what was found, with numbers.
         remedy: what to do; empty when all is well.
+        key: its kind, by which programs know it; empty in results of earlier versions.
     """
 
     what: str
     level: Level
     found: str
     remedy: str = ""
+    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def _words() -> dict[str, dict[str, str]]:
 def finding(key: str, level: Level = "warn", **values: Any) -> Finding:
     """Return a finding in the words of its key, which these values complete."""
     words = {name: text.format(**values) for name, text in _words()[key].items()}
-    return Finding(words["what"], level, words["found"], "" if level == "ok" else words["remedy"])
+    return Finding(words["what"], level, words["found"], "" if level == "ok" else words["remedy"], key)
 
 
 def named(key: str, names: Sequence[str], separator: str = ", ", **values: Any) -> Iterator[Finding]:

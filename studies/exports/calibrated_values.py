@@ -30,6 +30,7 @@ from simulation.foreign_file import (
 )
 from simulation.foreign_text import not_a_formula, quoted, shortened
 from simulation.units import in_si
+from studies.paths import ProjectPaths
 from studies.project import FinishedCalibration, Project, best_calibrations
 from studies.results.provenance import Provenance, case_of, read_provenance
 from studies.templates import environment
@@ -116,9 +117,24 @@ def calibrated_values(project: Project, experiment: str | None = None) -> Calibr
         cases = ", ".join(one.found.case for one in best)
         remedy = f"name one of: {cases}" if cases else "type studies calibrate first"
         raise InputError(f"--write needs one calibrated case; {remedy}")
-    (finished,) = best
+    return values_of(project.paths, best[0], experiment)
+
+
+def values_of(
+    paths: ProjectPaths, finished: FinishedCalibration, experiment: str | None = None
+) -> CalibratedValues:
+    """Return the values of a calibration.
+
+    Args:
+        paths: Its project.
+        finished: The calibration.
+        experiment: Which of its experiments; None where it has none.
+
+    Raises:
+        InputError: The case is not as it was calibrated.
+    """
     made = read_provenance(finished.outcome.provenance, finished.name)
-    case = case_of(project.paths, made, exactly=False)
+    case = case_of(paths, made, exactly=False)
     stale = _stale(made, case, finished.changed_since)
     case, columns = of_experiment(case, experiment, needed_for="--write")
     space, fmu = case.parameter_space, case.fmu

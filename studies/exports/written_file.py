@@ -18,9 +18,10 @@ from studies.exports.calibrated_values import (
     as_modelica,
     as_ssv,
     calibrated_values,
+    values_of,
 )
-from studies.paths import folder_name
-from studies.project import Project, best_by_label, changed_files
+from studies.paths import ProjectPaths, folder_name
+from studies.project import FinishedCalibration, Project, best_by_label, changed_files
 from studies.results.provenance import FILE, case_of, read_provenance
 from studies.results.saved import read_json
 from studies.tracking.runs import load_surrogate, run_store
@@ -35,6 +36,8 @@ OF_VALUES: dict[str, Callable[[CalibratedValues], bytes]] = {
 }
 """What a file of calibrated values holds, by its format."""
 FORMATS = (*OF_VALUES, "onnx")
+ENDINGS = {"modelica": ".mo"}
+"""Endings of files that are not called as the format."""
 
 
 def write_best(
@@ -67,8 +70,34 @@ def write_best(
     else:
         found = calibrated_values(project, experiment)
         name, content, stale = f"{found.case.name}-calibrated", OF_VALUES[kind](found), found.stale
-    ending = "mo" if kind == "modelica" else kind
-    file = Path(files[0] if files else f"{folder_name(name)}.{ending}")
+    file = Path(files[0] if files else f"{folder_name(name)}{ENDINGS.get(kind, f'.{kind}')}")
+    _write_new(file, content)
+    return file, stale
+
+
+def write_values(
+    paths: ProjectPaths, finished: FinishedCalibration, file: Path, experiment: str | None
+) -> Path:
+    """Write the values of a calibration to a new file, in the format of its ending.
+
+    Args:
+        paths: Its project.
+        finished: The calibration.
+        file: The file.
+        experiment: Which experiment's values; None where the case has none.
+
+    Raises:
+        InputError: The file exists, or its ending is that of no format.
+    """
+    formats = {ENDINGS.get(kind, f".{kind}"): write for kind, write in OF_VALUES.items()}
+    if file.suffix not in formats:
+        raise InputError(f"{file}: the ending says the format; give one of {', '.join(formats)}")
+    _refuse_existing(file)
+    _write_new(file, formats[file.suffix](values_of(paths, finished, experiment)))
+    return file
+
+
+def _write_new(file: Path, content: bytes) -> None:
     _refuse_existing(file)
     try:
         with whole_file(file) as stream:
@@ -77,7 +106,6 @@ def write_best(
         if error.errno == errno.ENOSPC:  # a fault of the machine
             raise
         raise InputError(f"{file}: cannot be written ({error.strerror}); name another file") from None
-    return file, stale
 
 
 def _refuse_existing(file: Path) -> None:

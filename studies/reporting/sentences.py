@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studies.calibration.search.misfit_threshold import misfit_threshold
+from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
 from studies.calibration.uncertainty.noise import VANISHING, Noise
 from studies.results.outcome import Outcome
-from studies.results.stage_results import Calibration, LargestSample, Uncertainty
+from studies.results.stage_results import Calibration, Determined, EquationsFound, LargestSample, Uncertainty
 from studies.words.console import format_seconds
 from studies.words.wording import (
     compared_in,
     count,
     difference_unit,
+    in_letters,
     listed,
     moment_of,
     percent,
@@ -67,11 +69,11 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
 def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
     """Say what a calibration means, from how its state equations did to what priors weigh."""
     said = [_RANDOM] * found.is_random + [_OWN_PROCESSES] * found.has_own_processes
-    said += [] if found.state_equations is None else [found.state_equations.sentence]
+    said += [] if found.state_equations is None else [equations_sentence(found.state_equations)]
     if not math.isfinite(found.mse):
         return said
     said += [_fit(case, found), *_relative(case, found), *_limits(case, found), *_outliers(case, found)]
-    said += [] if found.determined_by_data is None else found.determined_by_data.sentences
+    said += [] if found.determined_by_data is None else determined_sentences(found.determined_by_data)
     if (prior := found.prior) is not None:
         unit = square_of(case.outputs[0].unit)
         said.append(
@@ -80,6 +82,49 @@ def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
             f"{quantity(prior.penalty, unit)}, which no {found.error_name} shown here includes"
         )
     return said
+
+
+def determined_sentences(judged: Determined) -> list[str]:
+    """Say which parameters are left open and which compensate each other; nothing where none is open."""
+    if not judged.open:
+        return []
+    n = count(len(judged.spread), "parameter")
+    first = (
+        f"The data do not determine {len(judged.open)} of {n} (standard deviation at the result of "
+        f"{percent(DETERMINED)} of the range or more): {listed(judged.open)}"
+    )
+    return [first, *(_ridge(judged, ridge) for ridge in judged.ridges)]
+
+
+def _ridge(judged: Determined, ridge: Ridge) -> str:
+    """Say which parameters compensate each other, and how many of them have to be fixed."""
+    n, n_free = len(ridge.names), in_letters(ridge.n_free)
+    how = [pair.how for pair in judged.pairs if n == 2 and (pair.first, pair.second) == ridge.names]
+    return (
+        f"{listed(ridge.names)} compensate each other{f' ({how[0]})' if how else ''}: the data determine "
+        f"{in_letters(n - ridge.n_free)} of these {in_letters(n)}; fix {n_free} under [fixed]"
+    )
+
+
+def equations_sentence(equations: EquationsFound) -> str:
+    """Say what became of the state equations that a calibration looked for."""
+    calls, hidden = count(equations.n_calls, "call"), equations.hidden_inputs
+    inputs = "input" if len(hidden) == 1 else "inputs"
+    learnt = f"learnt with {listed(hidden)} of the FMU as {inputs}" if hidden else "learnt"
+    if equations.n_alone:
+        learnt += f" from {count(equations.n_alone, 'simulation')} of single experiments"
+    if equations.are_believed:
+        end = f"{learnt}, and {calls} went where they expect the lowest error"
+        if equations.is_given_up:
+            end += "; the last ones gained less than the equations err by, so no more were asked there"
+        if equations.without_effect:
+            end += f"; {listed(equations.without_effect)} changed nothing in any simulation"
+    elif equations.why_not is None:
+        end = f"{learnt}, but their last predictions were wrong, after {calls}; the search went on without"
+    else:
+        how = f"given up after {calls}" if equations.n_calls else "not learnt"
+        end = f"{how}, for {equations.why_not}; the search did without"
+    return f"State equations of {count(equations.n_states, 'state')}: {end}"
 
 
 def _fit(case: "Case", found: Calibration) -> str:

@@ -9,7 +9,7 @@ from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
 from studies.calibration.sobol import SobolIndices, mean_over_time
 from studies.results.outcome import Outcome
-from studies.results.stage_results import Calibration, Screened, TunedSize, Uncertainty
+from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
 from studies.words.wording import (
     MISSING,
     bound_at,
@@ -196,7 +196,9 @@ def _six(value: float | None) -> str:
 
 def _note(found: Calibration, name: str, u: float) -> str:
     """Say what judges a calibrated value that lies at `u` between its bounds."""
-    note = "" if found.determined_by_data is None else found.determined_by_data.note(name)
+    judged, note = found.determined_by_data, ""
+    if judged is not None and name in judged.open:
+        note = f"not determined: ±{percent(judged.spread[name])} of the range"
     if name in found.without_effect:
         # A bound that it happens to lie at says nothing.
         note = "the error hardly depends on it"
@@ -206,10 +208,17 @@ def _note(found: Calibration, name: str, u: float) -> str:
     known = None if found.prior is None else found.prior.parameters.get(name)
     if known is None:
         return note
-    before = f"known before: {known.in_words}, moved by {known.moved_deviations:+.2f} deviations"
+    before = f"known before: {_known(known)}, moved by {known.moved_deviations:+.2f} deviations"
     if abs(known.moved_deviations) > FAR:
         before += ": the data contradict it"
     return "; ".join(filter(None, (note, before)))
+
+
+def _known(held: Held) -> str:
+    """Say what was known of a parameter, e.g. `0.7 ×/÷ 1.5` or `290 ± 2`."""
+    if held.within_factor is not None:
+        return f"{held.about:.4g} ×/÷ {held.within_factor:.4g}"
+    return f"{held.about:.4g} ± {held.within:.4g}"
 
 
 def validation_table(case: "Case", found: Calibration) -> Table | None:

@@ -10,10 +10,9 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
 from studies.calibration.uncertainty.findings import Compensation
-from studies.calibration.uncertainty.identifiability import DETERMINED, Pair, Ridge
+from studies.calibration.uncertainty.identifiability import Pair, Ridge
 from studies.calibration.uncertainty.noise import Noise
 from studies.results.saved import WITH_ARRAYS, Error
-from studies.words.wording import count, in_letters, listed, percent
 
 ADAPTIVE = "adaptive"
 """What an adaptive calibration is called; one by the paper's method has the name of its size, as n0064."""
@@ -235,32 +234,6 @@ class Determined:
     pairs: tuple[Pair, ...]
     ridges: tuple[Ridge, ...] = ()
 
-    def note(self, name: str) -> str:
-        """Say that a parameter is open and how far, "" where it is not."""
-        is_open = name in self.open
-        return f"not determined: ±{percent(self.spread[name])} of the range" if is_open else ""
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Which parameters are left open and which compensate each other; none where all are determined."""
-        if not self.open:
-            return ()
-        n = count(len(self.spread), "parameter")
-        first = (
-            f"The data do not determine {len(self.open)} of {n} (standard deviation at the result of "
-            f"{percent(DETERMINED)} of the range or more): {listed(self.open)}"
-        )
-        return (first, *map(self._in_words, self.ridges))
-
-    def _in_words(self, ridge: Ridge) -> str:
-        """Say which parameters compensate each other, and how many of them have to be fixed."""
-        n, n_free = len(ridge.names), in_letters(ridge.n_free)
-        how = [one.how for one in self.pairs if n == 2 and (one.first, one.second) == ridge.names]
-        return (
-            f"{listed(ridge.names)} compensate each other{f' ({how[0]})' if how else ''}: the data determine "
-            f"{in_letters(n - ridge.n_free)} of these {in_letters(n)}; fix {n_free} under [fixed]"
-        )
-
 
 @dataclass(frozen=True)
 class EquationsFound:
@@ -291,28 +264,6 @@ class EquationsFound:
     n_alone: int = 0
     is_given_up: bool = False
 
-    @property
-    def sentence(self) -> str:
-        """The same in words."""
-        calls, hidden = count(self.n_calls, "call"), self.hidden_inputs
-        inputs = "input" if len(hidden) == 1 else "inputs"
-        learnt = f"learnt with {listed(hidden)} of the FMU as {inputs}" if hidden else "learnt"
-        learnt += f" from {count(self.n_alone, 'simulation')} of single experiments" if self.n_alone else ""
-        if self.are_believed:
-            end = f"{learnt}, and {calls} went where they expect the lowest error"
-            if self.is_given_up:
-                end += "; the last ones gained less than the equations err by, so no more were asked there"
-            if self.without_effect:
-                end += f"; {listed(self.without_effect)} changed nothing in any simulation"
-        elif self.why_not is None:
-            end = (
-                f"{learnt}, but their last predictions were wrong, after {calls}; the search went on without"
-            )
-        else:
-            how = f"given up after {calls}" if self.n_calls else "not learnt"
-            end = f"{how}, for {self.why_not}; the search did without"
-        return f"State equations of {count(self.n_states, 'state')}: {end}"
-
 
 @dataclass(frozen=True)
 class Held:
@@ -329,13 +280,6 @@ class Held:
     moved_deviations: float
     within_factor: float | None = None
     within: float | None = None
-
-    @property
-    def in_words(self) -> str:
-        """What was known, e.g. `0.7 ×/÷ 1.5` or `290 ± 2`."""
-        if self.within_factor is not None:
-            return f"{self.about:.4g} ×/÷ {self.within_factor:.4g}"
-        return f"{self.about:.4g} ± {self.within:.4g}"
 
 
 @dataclass(frozen=True)

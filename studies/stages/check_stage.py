@@ -31,6 +31,6 @@ def found_of_the_step(task: Task) -> str | None:
     if before is None:
         return None
     for one in before.findings:
-        if "half the communication step" in one.what and one.level == "warn":
+        if one.key in ("half-step", "half-step-fails") and one.level == "warn":
             return f"{one.what} {one.found}: {one.remedy}"
     return ""

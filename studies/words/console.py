@@ -137,13 +137,8 @@ class Console:
         if not self.as_json:
             _write(sys.stdout, escaped(line, keep_lines=True))
 
-    def document(self, content: dict[str, Any], of: Any = None) -> None:
-        """Write the one JSON document to stdout, or nothing where the result is for people.
-
-        Args:
-            content: the document.
-            of: the study and its outcomes, for those who call from Python.
-        """
+    def document(self, content: dict[str, Any]) -> None:
+        """Write the one JSON document to stdout, or nothing where the result is for people."""
         if self.as_json:
             _write(sys.stdout, json.dumps(content, indent=2, allow_nan=False, default=str))
 

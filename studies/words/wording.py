@@ -14,6 +14,8 @@ MISSING = "–"
 AT_BOUND = 0.01
 """Closer to a bound than this share of the range is at the bound."""
 
+NATIVE_CODE = "an FMU is native code that runs with your rights; SECURITY.md says how to run one apart"
+
 
 def significant(value: float | None, digits: int = 3) -> str:
     """Write a number with so many significant digits, without an exponent where it stays readable."""

@@ -16,6 +16,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.search.adaptive import Adaptive
 from studies.calibration.uncertainty.identifiability import Ridge, judged, judged_slopes
 from studies.calibration.uncertainty.noise import noise_of
+from studies.reporting.sentences import determined_sentences
 from studies.stages.calibrated_point import determined
 
 # Of standard deviations by slopes of a surrogate, whose rows lie up to a tenth of the range away.
@@ -45,8 +46,8 @@ def test_a_search_knows_what_differences_would_show(search, is_product: bool) ->
     np.testing.assert_allclose(list(found.spread.values()), truth.spread, rtol=SPREAD_RTOL)
     assert found.open == (("R", "C") if is_product else ())
     assert [one.strength < -0.9 for one in found.pairs] == [True] * is_product
-    assert [bool(found.note(name)) for name in problem.space.names] == [is_product] * 2
-    assert len(found.sentences) == 2 * is_product
+    assert [name in found.open for name in problem.space.names] == [is_product] * 2
+    assert len(determined_sentences(found)) == 2 * is_product
 
 
 def weather() -> FloatArray:
@@ -101,7 +102,7 @@ def test_data_without_noise_do_not_determine_what_acts_through_products(
     assert named == {pair: pair == ("R1", "R2") for pair in combinations(ridge.names, 2)}, (
         "resistances rise together as the capacity falls"
     )
-    assert words in said.sentences[-1]
+    assert words in determined_sentences(said)[-1]
     # `uncertainty` takes the sensor's noise likewise.
     assert noise_of("correlated", problem.measurement, found.y, len(truth)).kind == "sensor"
 

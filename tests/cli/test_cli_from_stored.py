@@ -69,7 +69,7 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
     assert page.code == 0, page.err
     text = Path(project / page.document["stages"][0]["index"]).read_text(encoding="utf-8")
     assert f"begun with {N_BEFORE} stored simulations" in text
-    assert "--from-stored --max-calls 3" in text
+    assert "--max-calls 3 --from-stored" in text
     again = studies("reproduce", "wall-quick/adaptive")
     assert again.code == 0, again.err
     assert "to the last digit" in again.out

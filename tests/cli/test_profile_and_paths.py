@@ -2,7 +2,7 @@
 
 import pytest
 
-from studies.commands.options import window
+from studies.keywords import window
 from studies.profile import load_profile, profile_names
 
 

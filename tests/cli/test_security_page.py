@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from project_for_tests import OFFICE, REPOSITORY, Run
 
-from studies.commands.options import NATIVE_CODE
+from studies.words.wording import NATIVE_CODE
 
 NOTICE = f"{NATIVE_CODE}\n"
 ATTACK = """

@@ -16,9 +16,9 @@ from commands_shown_for_tests import WHY_NOT, give_what_commands_name, lines_sho
 from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, add_case
 
+import studies
 from simulation.case import load_case
 from simulation.measurement import Measurement
-from studies import api
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
@@ -121,16 +121,16 @@ def test_python_finds_what_the_command_has_made_and_does_nothing_twice(
 ) -> None:
     monkeypatch.chdir(first.project)
     chosen: dict[str, Any] = {"profile": str(profiles / "quick.toml"), "trials": N_TRIALS}
-    ran = api.run(n_train=SIZES, **chosen)
+    ran = studies.run(n_train=SIZES, **chosen)
     said = capsys.readouterr().err
     for stage in ("sensitivity", "tune", "calibrate-n0032", "calibrate-n0064", "report"):
         assert f"{stage}: finished before" in said
-    sizes = api.tune(n_train=SIZES, **chosen)
+    sizes = studies.tune(n_train=SIZES, **chosen).sizes
     assert list(sizes.index) == list(SIZES)
     assert (sizes["n_trials"] == N_TRIALS).all()
     assert {"n_latent", "n_hidden", "beta"} <= set(sizes.loc[32, "params"])
     for one in first.calibrations:
-        again = api.calibrate(profile=chosen["profile"], n_train=one["n_train"])
+        again = studies.calibrate(profile=chosen["profile"], n_train=one["n_train"])
         assert (again.mse, again.theta["value"].to_dict()) == (one["mse"], one["theta"])
         assert again.calls == one["ledger"]["total_calls"] >= one["n_train"] + 640
     assert ran.mse == min(one["mse"] for one in first.calibrations)
@@ -195,7 +195,7 @@ def test_the_page_of_values_runs_and_its_answers_are_right(
             assert [main(line.split()[1:]) for line in block.splitlines()] == [0] * block.count("\n")
     tuned = [one for one in read_project(find_project(None)).studies if not one.spec.is_baseline]
     best = min((one.best for one in tuned if one.best), key=lambda one: one.metrics["val/mae"])
-    case = api.load_case("office")
+    case = studies.load_case("office")
     assert [name for name, _ in json.loads(names["about"]["parameters"])] == list(case.parameter_space.names)
     np.testing.assert_array_equal(json.loads(names["about"]["time_s"]), case.measurement.time)
     expected = load_surrogate(RunStore(ProjectPaths(first.project)), best.run_id).predict(names["theta"])

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from project_for_tests import add_case, make_project
 
 from simulation.case_file import CaseFile, InputTable, OutputTable, SimulationTable
 from simulation.recording import read_recording
@@ -223,10 +224,15 @@ def test_the_german_csv_file_in_the_pages_is_read(tmp_path: Path) -> None:
     assert math.isnan(recording.columns["Wärme"][1])
 
 
-def test_the_example_in_python_calibrates_and_predicts(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_examples_in_python_calibrate_and_predict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (example,) = code_blocks(read(ROOT / "docs" / "own-fmu.md"), "python")
-    monkeypatch.chdir(ROOT)
-    exec(f"{example}{CHECKED}", {})
+    objects, parts = code_blocks(read(ROOT / "docs" / "own-fmu.md"), "python")
+    monkeypatch.chdir(make_project(tmp_path / "project"))
+    add_case(tmp_path / "project")
+    exec(objects, {})
+    shown = capsys.readouterr().out
+    assert re.search(r"^G12 .* W/K ", shown, re.MULTILINE)
+    assert " True 0." in shown
+    exec(f"{parts}{CHECKED}", {})
     assert re.fullmatch(r"\d simulations, MSE 0\.0019\d: \{.*\}\n", capsys.readouterr().out)

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -186,6 +187,25 @@ def test_a_forgotten_model_leaves_no_process():
         assert set(psutil.Process().children()) - before == {server}
     end_fork_servers()
     assert not set(psutil.Process().children(recursive=True)) - before
+
+
+LEFT_OPEN = """
+import tempfile
+folder = tempfile.TemporaryDirectory()  # its finalizer is older than all of the pool's
+import sys
+sys.path[:0] = {places!r}
+from simulation import PoolModel
+from slow_models import SlowToy
+model = PoolModel(SlowToy().open, 1)
+assert not model.simulate(model.parameter_space.from_unit([[0.5, 0.5]])).failed.any()
+"""
+
+
+def test_a_script_that_closes_nothing_ends_at_once():
+    places = [str(Path(__file__).parent), str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
+    command = [sys.executable, "-W", "error::RuntimeWarning", "-c", LEFT_OPEN.format(places=places)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 NO_ROOM = """

@@ -1,0 +1,325 @@
+"""`run`, `tune`, `simulate` and `sensitivity`: the chain of the paper, and its parts."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from simulation.trajectories import Trajectories
+from studies.api.calibrations import CalibrationResult, best_of
+from studies.api.judgements import CheckResult, UnsoundError
+from studies.api.verb import opened, verb
+from studies.calibration.sobol import SobolIndices
+from studies.keywords import Surrogate
+from studies.results.outcome import Outcome
+from studies.results.row_set import RowSet
+from studies.results.stage_results import Calibration, SimulatedSets, Tuned
+from studies.words.console import Console
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from simulation.case import Case
+    from studies.task import Task
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationResult:
+    """The sets of simulations behind the surrogates.
+
+    Attributes:
+        task: Case, profile and project.
+        outcome: What the stage came to.
+    """
+
+    task: "Task"
+    outcome: Outcome[SimulatedSets]
+
+    def read(self, name: str) -> Trajectories:
+        """Read a set: parameters, outputs and output times.
+
+        Args:
+            name: "train", "validation" or "test".
+        """
+        return RowSet.load(self.task.paths.root / self.outcome.result.files[name]).read()
+
+
+@dataclass(frozen=True, eq=False)
+class SensitivityResult:
+    """Sobol indices of the outputs.
+
+    Attributes:
+        task: Case, profile and project.
+        outcome: What the stage came to.
+    """
+
+    task: "Task"
+    outcome: Outcome[SobolIndices]
+
+    @cached_property
+    def indices(self) -> "pd.DataFrame":
+        """Indices by parameter, means over time weighted by the variance: columns first, total. [1]."""
+        import pandas as pd
+
+        mean = self.outcome.result.mean
+        return pd.DataFrame.from_dict(mean, orient="index", columns=["first", "total"])
+
+
+@dataclass(frozen=True, eq=False)
+class TuningResult:
+    """The best surrogate of each training-set size.
+
+    Attributes:
+        task: Case, profile and project.
+        stages: What each stage came to, in order; the last one is the tuning.
+    """
+
+    task: "Task"
+    stages: tuple[Outcome[Any], ...]
+
+    @property
+    def tuned(self) -> Tuned:
+        """What the tuning came to."""
+        result: Tuned = self.stages[-1].result
+        return result
+
+    @cached_property
+    def sizes(self) -> "pd.DataFrame":
+        """A row per size with the fields of `studies best --json`.
+
+        Among them are the hyperparameters `params`, the test errors `mae` and `p90` in `unit`, and the
+        `model_uri` by which MLflow loads the model.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(map(asdict, self.tuned.studies)).set_index("n_train")
+
+    def _repr_html_(self) -> str:
+        table = self.sizes[["n_trials", "n_pruned", "mae", "p90", "unit"]]
+        return str(table.to_html(float_format="{:.4g}".format))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunResult(CalibrationResult):
+    """All that `studies run` came to; itself it is the calibration of least error."""
+
+    @property
+    def calibrations(self) -> list[CalibrationResult]:
+        """The calibration of each training-set size."""
+        own = [one for one in self.stages if isinstance(one.result, Calibration)]
+        return [CalibrationResult(self.task, self.stages, one) for one in own]
+
+    @property
+    def tuning(self) -> TuningResult:
+        """The best surrogate of each training-set size."""
+        n = next(k for k, one in enumerate(self.stages) if isinstance(one.result, Tuned))
+        return TuningResult(self.task, self.stages[: n + 1])
+
+    @property
+    def page(self) -> Path:
+        """The report."""
+        page: Path = self.task.paths.root / self.stages[-1].result.index
+        return page
+
+
+@verb
+def simulate(
+    case: "str | Path | Case" = "office",
+    *,
+    profile: str | Path = "quick",
+    window: str | tuple[float, float] | None = None,
+    seed: int | None = None,
+    surrogate: Surrogate | None = None,
+    retry_failed: bool = False,
+    jobs: int | None = None,
+    dask: str | None = None,
+    storage: str | None = None,
+    console: Console | None = None,
+) -> SimulationResult:
+    """Simulate the training, validation and test sets, as `studies simulate`.
+
+    Args:
+        case: Name, file or folder of a case, or a case that was read.
+        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
+        seed: Seed of all random numbers; None for the profile's.
+        surrogate: Form of the surrogate; None for the profile's.
+        retry_failed: Simulate failed simulations again.
+        jobs: Processes; None for the number of cores.
+        dask: Address of a Dask scheduler whose workers simulate; None for this machine.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        console: Shows progress; None for standard error.
+
+    Returns:
+        The sets.
+
+    Raises:
+        InputError: The case, a keyword or a file is wrong.
+        StageError: A stage failed.
+    """
+    task = opened("simulate", locals())
+    from studies.stages.simulate_stage import simulate_stage
+
+    return SimulationResult(task, simulate_stage(task))
+
+
+@verb
+def sensitivity(
+    case: "str | Path | Case" = "office",
+    *,
+    profile: str | Path = "quick",
+    window: str | tuple[float, float] | None = None,
+    seed: int | None = None,
+    surrogate: Surrogate | None = None,
+    retry_failed: bool = False,
+    jobs: int | None = None,
+    dask: str | None = None,
+    storage: str | None = None,
+    console: Console | None = None,
+) -> SensitivityResult:
+    """Say which parameters the outputs depend on, as `studies sensitivity`.
+
+    Args:
+        case: Name, file or folder of a case, or a case that was read.
+        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
+        seed: Seed of all random numbers; None for the profile's.
+        surrogate: Form of the surrogate; None for the profile's.
+        retry_failed: Simulate failed simulations again.
+        jobs: Processes; None for the number of cores.
+        dask: Address of a Dask scheduler whose workers simulate; None for this machine.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        console: Shows progress; None for standard error.
+
+    Returns:
+        Sobol indices.
+
+    Raises:
+        InputError: The case, a keyword or a file is wrong.
+        StageError: A stage failed.
+    """
+    task = opened("sensitivity", locals())
+    from studies.stages.simulate_stage import sensitivity_stage
+
+    return SensitivityResult(task, sensitivity_stage(task))
+
+
+@verb
+def tune(
+    case: "str | Path | Case" = "office",
+    *,
+    n_train: int | Sequence[int] | None = None,
+    trials: int | None = None,
+    parallel: int | None = None,
+    max_hours: float | None = None,
+    profile: str | Path = "quick",
+    window: str | tuple[float, float] | None = None,
+    seed: int | None = None,
+    surrogate: Surrogate | None = None,
+    retry_failed: bool = False,
+    jobs: int | None = None,
+    dask: str | None = None,
+    storage: str | None = None,
+    console: Console | None = None,
+) -> TuningResult:
+    """Tune one surrogate per training-set size with Optuna, as `studies tune`.
+
+    Args:
+        case: Name, file or folder of a case, or a case that was read.
+        n_train: Training-set sizes; None for the profile's.
+        trials: Trials per size in all; None for the profile's.
+        parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.
+        max_hours: No trial begins later; the same call continues. [h]
+        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
+        seed: Seed of all random numbers; None for the profile's.
+        surrogate: Form of the surrogate; None for the profile's.
+        retry_failed: Simulate failed simulations again.
+        jobs: Processes; None for the number of cores.
+        dask: Address of a Dask scheduler whose workers simulate; None for this machine.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        console: Shows progress; None for standard error.
+
+    Returns:
+        The best surrogate of each size.
+
+    Raises:
+        InputError: The case, a keyword or a file is wrong.
+        StageError: A stage failed.
+    """
+    task = opened("tune", locals())
+    from studies.stages.learn import require_tuning, tune_stage
+    from studies.stages.simulate_stage import simulate_stage
+
+    require_tuning(task)
+    simulated = simulate_stage(task)
+    return TuningResult(task, (simulated, tune_stage(task, simulated)))
+
+
+@verb
+def run(
+    case: "str | Path | Case" = "office",
+    *,
+    n_train: int | Sequence[int] | None = None,
+    trials: int | None = None,
+    parallel: int | None = None,
+    max_hours: float | None = None,
+    max_calls: int | None = None,
+    again: bool = False,
+    profile: str | Path = "quick",
+    window: str | tuple[float, float] | None = None,
+    seed: int | None = None,
+    surrogate: Surrogate | None = None,
+    retry_failed: bool = False,
+    jobs: int | None = None,
+    dask: str | None = None,
+    storage: str | None = None,
+    console: Console | None = None,
+) -> RunResult:
+    """Do all stages of the paper in order, as `studies run`, and skip finished ones.
+
+    Args:
+        case: Name, file or folder of a case, or a case that was read.
+        n_train: Training-set sizes; None for the profile's.
+        trials: Trials per size in all; None for the profile's.
+        parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.
+        max_hours: No trial begins later; the same call continues. [h]
+        max_calls: Most simulations of one polish; None for the profile's.
+        again: Repeat the calibrations if they are finished.
+        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
+        seed: Seed of all random numbers; None for the profile's.
+        surrogate: Form of the surrogate; None for the profile's.
+        retry_failed: Simulate failed simulations again.
+        jobs: Processes; None for the number of cores.
+        dask: Address of a Dask scheduler whose workers simulate; None for this machine.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        console: Shows progress; None for standard error.
+
+    Returns:
+        The calibration of least error, with those of all sizes, the tuning and the page.
+
+    Raises:
+        InputError: The case, a keyword or a file is wrong.
+        StageError: A stage failed, or the check found errors (UnsoundError).
+    """
+    task = opened("run", locals())
+    from studies.doctor import say_warnings
+    from studies.stages.calibrate_stage import calibrate_stage
+    from studies.stages.check_stage import check_stage
+    from studies.stages.learn import require_tuning, tune_stage
+    from studies.stages.report_stage import report_stage
+    from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
+
+    require_tuning(task)
+    checked = check_stage(task)
+    if not checked.result.is_sound:
+        raise UnsoundError(CheckResult(task, checked))
+    say_warnings(task.console, checked.result)
+    simulated = simulate_stage(task)
+    before = [checked, simulated, sensitivity_stage(task), tune_stage(task, simulated)]
+    sizes = task.profile.data.n_train
+    calibrated = [calibrate_stage(task, n, again=again) for n in sizes]
+    stages = (*before, *calibrated, report_stage(task))
+    return RunResult(task, stages, best_of(task, calibrated).outcome)

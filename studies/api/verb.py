@@ -1,0 +1,79 @@
+"""What all functions share: they check their keywords, open a task, and begin anew where that is needed."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from simulation.errors import ReuseError
+from studies import keywords
+from studies.opening import open_task
+from studies.words.console import Console
+
+if TYPE_CHECKING:
+    from studies.task import Task
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_DEFAULTS: dict[str, dict[str, Any]] = {}
+
+
+def verb(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function that refuses wrong keywords in one line and begins anew where its model needs it.
+
+    Args:
+        function: Does what the command of its name does.
+
+    Returns:
+        The function, which raises InputError for a wrong value and TypeError for an unknown keyword.
+    """
+    signature = inspect.signature(function)
+    name = function.__name__
+    _DEFAULTS[name] = {key: one.default for key, one in signature.parameters.items()}
+
+    @wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        for unknown in kwargs.keys() - signature.parameters.keys():
+            close = get_close_matches(unknown, signature.parameters, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise TypeError(f"{name}() got an unexpected keyword argument {unknown!r}{hint}")
+        given = signature.bind(*args, **kwargs).arguments
+        keywords.check(name, given)
+        return begun_anew(lambda: function(*args, **kwargs), given.get("console"))
+
+    return checked
+
+
+def begun_anew(work: Callable[[], T], console: Console | None) -> T:
+    """Do work; once more where simulations that it began with were wrong and are removed.
+
+    Args:
+        work: What is done.
+        console: Shows a warning before it begins anew.
+    """
+    try:
+        return work()
+    except ReuseError as error:
+        shown(console).warn(f"{error}; the command begins anew")
+        return work()
+
+
+def shown(console: Console | None) -> Console:
+    """Return what shows progress and results: by default all on standard error, as a notebook has it."""
+    return Console(as_json=True) if console is None else console
+
+
+def opened(name: str, given: Mapping[str, Any]) -> "Task":
+    """Open the task that keywords name.
+
+    Args:
+        name: The function.
+        given: All its keywords with their values.
+
+    Raises:
+        InputError: A keyword is wrong, or the label holds results of another case file.
+    """
+    case = given["case"]
+    words = {**given, "case": getattr(case, "path", case)}
+    return open_task(name, words, shown(given.get("console")), keywords.typed(name, words, _DEFAULTS[name]))
