@@ -121,15 +121,26 @@ class ScreeningBudget:
 
 @dataclass(frozen=True, config=STRICT)
 class PolishBudget:
-    """Least squares on the physical model.
+    """The search on the physical model that ends a calibration by the paper's method.
 
     Args:
         max_calls: simulations the polish may ask for.
         ftol: relative change of the cost that ends it.
+        optimizer: least squares unless another one of `studies.calibration.optimizers` is named, with its
+            arguments, as `{ name = "SciPyMinimize", method = "COBYQA" }`.
     """
 
     max_calls: Count = 400
     ftol: Positive = 1e-4
+    optimizer: dict[str, Any] = Field(default_factory=lambda: {"name": "LeastSquaresTRF"})
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What decides a polish; the usual optimizer, which earlier results do not name, is left out."""
+        names = {"max_calls": self.max_calls, "ftol": self.ftol}
+        return (
+            names if self.optimizer == {"name": "LeastSquaresTRF"} else names | {"optimizer": self.optimizer}
+        )
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -306,13 +306,14 @@ def run(
     """
     task = opened("run", locals())
     from studies.doctor import say_warnings
-    from studies.stages.calibrate_stage import calibrate_stage
+    from studies.stages.calibrate_stage import calibrate_stage, polisher
     from studies.stages.check_stage import check_stage
     from studies.stages.learn import require_tuning, tune_stage
     from studies.stages.report_stage import report_stage
     from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
 
     require_tuning(task)
+    polisher(task.profile)
     checked = check_stage(task)
     if not checked.result.is_sound:
         raise UnsoundError(CheckResult(task, checked))

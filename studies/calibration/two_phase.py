@@ -8,7 +8,8 @@ from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from studies.calibration.ledger import Ledger
-from studies.calibration.polish import LeastSquaresTRF, PolishResult
+from studies.calibration.optimizers import Optimizer
+from studies.calibration.polish import PolishResult
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress
@@ -45,7 +46,7 @@ def calibrate_two_phase(
     measurement: Measurement,
     *,
     screening: DifferentialEvolution,
-    polishing: LeastSquaresTRF,
+    polishing: Optimizer,
     seed: int,
     n_train: int,
     n_validation: int = 0,
@@ -60,7 +61,7 @@ def calibrate_two_phase(
         physical_model: Model to calibrate; every row asked of it is counted.
         measurement: Target, on both models' output grid.
         screening: Settings of phase 1.
-        polishing: Settings of phase 2.
+        polishing: The optimizer of phase 2.
         seed: Seed of the screening.
         n_train: Physical simulations that trained the surrogate, for the ledger.
         n_validation: The same for validation.

@@ -6,11 +6,12 @@ from typing import Any
 
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
-from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.optimizers import Optimizer, optimizer_of
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
+from studies.profile import Profile
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Screened
 from studies.results.trials import TrialView, TunedStudy
@@ -58,6 +59,16 @@ def best_surrogate(task: Task, n_train: int) -> Surrogate:
     return load_surrogate(run_store(task.paths), best.run_id)
 
 
+def polisher(profile: Profile) -> Optimizer:
+    """Return the optimizer that a profile polishes with.
+
+    Raises:
+        InputError: There is no such optimizer, or it has no such argument.
+    """
+    budget = profile.polish
+    return optimizer_of(budget.optimizer, max_calls=budget.max_calls, ftol=budget.ftol)
+
+
 def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome[Calibration]:
     """Calibrate with the stored surrogate of one training-set size.
 
@@ -71,13 +82,16 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
         **case_inputs(task.case),
         "surrogate": best.weights_sha256,
         "screening": asdict(profile.screening),
-        "polish": asdict(profile.polish),
+        "polish": profile.polish.settings,
         "n_validation": profile.data.n_validation,
         "n_test": profile.data.n_test,
         "seed": profile.seed,
         **validation_inputs(task.case),
     }
-    what = "differential evolution on the surrogate, then LS-TRF on the FMU"
+    polisher(profile)  # a wrong name is said before hours of work
+    name = profile.polish.optimizer["name"]
+    polish = "LS-TRF" if name == "LeastSquaresTRF" else name
+    what = f"differential evolution on the surrogate, then {polish} on the FMU"
     made = {"kind": "calibration", "n_train": n_train, "surrogate_run": best.run_id}
     stage = Stage(task, f"calibrate-{size_name(n_train)}", what, inputs, Calibration, made)
     origin = {
@@ -114,7 +128,7 @@ def calibrate(
             physical,
             measurement,
             screening=DifferentialEvolution(**asdict(profile.screening)),
-            polishing=LeastSquaresTRF(**asdict(profile.polish)),
+            polishing=polisher(profile),
             seed=profile.seed,
             n_train=n_train,
             n_validation=profile.data.n_validation,
@@ -136,7 +150,7 @@ def calibrate(
         n_train=n_train,
         settings={
             **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
-            **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
+            **{f"polish.{name}": value for name, value in profile.polish.settings.items()},
         },
         screening=Screened(
             theta=space.named(screened.theta[0]),

@@ -10,6 +10,7 @@ from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_
 from toy_rc import ToyRC
 
 from simulation.errors import InputError
+from studies.calibration.optimizers import SciPyMinimize, optimizer_of
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
@@ -24,7 +25,7 @@ def _screen(problem: CalibrationProblem, *, seed: int = 0, max_calls: int | None
     return settings.minimize(problem, seed=seed, **more)
 
 
-def _polish(settings: LeastSquaresTRF) -> Optimizer:
+def _polish(settings: Any) -> Optimizer:
     def run(problem: CalibrationProblem, *, seed: int = 0, max_calls: int | None = 2000, **more: Any) -> Any:
         return replace(settings, max_calls=max_calls).minimize(problem, START, **more)
 
@@ -34,6 +35,8 @@ def _polish(settings: LeastSquaresTRF) -> Optimizer:
 OPTIMIZERS: dict[str, Optimizer] = {
     "differential evolution": _screen,
     "LS-TRF": _polish(LeastSquaresTRF(ftol=1e-12)),
+    "COBYQA": _polish(SciPyMinimize(tol=1e-10)),
+    "L-BFGS-B": _polish(SciPyMinimize("L-BFGS-B", tol=1e-10)),
     "LS-TRF squared": _polish(LeastSquaresTRF(ftol=1e-14, xtol=1e-12, residuals="squared")),
 }
 # With the largest error of the parameters that are sought: the noise, or next to nothing.
@@ -130,3 +133,17 @@ def test_screening_leaves_the_margin_out_and_refuses_one_that_leaves_nothing() -
     assert (result.population_u <= 0.7).all()
     with pytest.raises(InputError, match=r"margin is 0\.5; give a value in \[0, 0\.5\)"):
         DifferentialEvolution(margin=0.5)
+
+
+def test_a_profile_names_the_optimizer_and_its_arguments() -> None:
+    usual = optimizer_of({"name": "LeastSquaresTRF"}, max_calls=7, ftol=1e-3)
+    assert usual == LeastSquaresTRF(max_calls=7, ftol=1e-3)
+    # What all polishes have counts as far as the optimizer has it.
+    other = optimizer_of({"name": "SciPyMinimize", "method": "Powell"}, max_calls=7, ftol=1e-3)
+    assert other == SciPyMinimize("Powell", max_calls=7)
+    with pytest.raises(InputError, match=r"^polish\.optimizer: name = 'Adam' is none of LeastSquaresTRF, "):
+        optimizer_of({"name": "Adam"})
+    with pytest.raises(InputError, match=r"^polish\.optimizer: SciPyMinimize has no argument 'metod'"):
+        optimizer_of({"name": "SciPyMinimize", "metod": "Powell"})
+    with pytest.raises(InputError, match=r"^polish\.optimizer: method = 'BFGS' is none of COBYQA, "):
+        optimizer_of({"name": "SciPyMinimize", "method": "BFGS"})
