@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.box_newton import SAME_POINT
-from studies.calibration.descent import descend_together, objectives
+from studies.calibration.descent import Descents
 from studies.calibration.hidden_network.fit import Fit, first_guess, improved
 from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.model import SCALE, Network, NetworkForm
@@ -20,9 +20,8 @@ FIRST_STEPS, LATER_STEPS = (20, 25), 15
 EXPLAINED = (0.15, 0.03)  # those shares
 # Latest rows that are fitted: the best and the last ones are among them.
 MOST_ROWS = 48
-# Points that are looked at, and how many of the best of them, beside best rows and last ends, are walked
-# downhill.
-N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 16, 2, 2
+# Points that are looked at, and how many of the best of them are walked downhill. By hand.
+N_LOOKS, N_WALKS = 200, 16
 # A row whose error is so many times the best counts half, in all fits but the first.
 FAR = 30.0
 # It proposes where it expects to gain this part of the best error.
@@ -52,7 +51,8 @@ class HiddenNetwork:
         # Draws of its own leave those of the search as they are without a network.
         self._rng = np.random.default_rng([seed, self._form.n_elements])
         p = problem.space.n_parameters
-        self._u = self._ends = np.empty((0, p))
+        self._descents = Descents(problem.prior, p, N_WALKS)
+        self._u = np.empty((0, p))
         self._y = np.empty((0, *np.shape(problem.measurement.time), self._form.n_outputs))
         self._objective = np.empty(0)
         self._fit: Fit | None = None
@@ -87,11 +87,8 @@ class HiddenNetwork:
             return None
         p = self._u.shape[1]
         looks = self._rng.random((N_LOOKS, p))
-        prior = self._problem.prior
-        best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
-        rows = np.argsort(self._objective, kind="stable")[:N_ROWS]
-        starts = np.concatenate([self._u[rows], self._ends, looks[best]])
-        home, best_yet = self._u[rows[0]], float(self._objective.min())
+        rows = self._u[np.argsort(self._objective, kind="stable")]
+        home, best_yet = rows[0], float(self._objective.min())
         cost = self._nearness * best_yet
 
         def with_distance(u: FloatArray) -> FloatArray:
@@ -101,11 +98,9 @@ class HiddenNetwork:
             whole = [residuals / np.sqrt(m), np.sqrt(cost) * (u - home)]
             return np.asarray(np.concatenate(whole, axis=1) * np.sqrt(m + p))
 
-        ends, values = descend_together(with_distance, prior, starts)
-        order = np.argsort(values, kind="stable")
-        self._ends = ends[order[:N_ENDS]]
+        ends, values = self._descents.lowest(self._residuals, looks, rows, with_distance)
         points = np.empty((0, p))
-        for end, value in zip(ends[order], values[order], strict=True):
+        for end, value in zip(ends, values, strict=True):
             distance = np.abs(np.concatenate([self._u, points]) - end).max(axis=1).min()
             is_better = value < (1.0 - LITTLE) * best_yet and distance > SAME_POINT
             if len(points) < n and is_better:

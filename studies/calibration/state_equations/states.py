@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel, WrappedModel
@@ -144,6 +144,17 @@ class StateRows(NamedTuple):
     slope: FloatArray
     y: FloatArray
     locals: FloatArray | None = None
+
+    @property
+    def are_known(self) -> BoolArray:
+        """In which rows states, derivatives and outputs are. Shape (n,)."""
+        known: BoolArray = np.all([np.isfinite(part).all(axis=(1, 2)) for part in self[:3]], axis=0)
+        return known
+
+    def take(self, rows: slice | BoolArray) -> Self:
+        """Return some of the rows."""
+        others = None if self.locals is None else self.locals[rows]
+        return type(self)(self.x[rows], self.slope[rows], self.y[rows], others)
 
 
 def why_unwatched(case: Case) -> str:
