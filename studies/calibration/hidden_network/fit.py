@@ -161,9 +161,7 @@ def improved(fit: Fit, u: FloatArray, y: FloatArray, share: FloatArray, n_steps:
     """
     network, width, noise = fit.network, fit.width, fit.noise
     rows = _Rows(
-        network.form.features(u, network.unit),
-        (y - network.level) * network.unit,
-        np.sqrt(share)[:, None],
+        network.form.features(u, network.unit), (y - network.level) * network.unit, np.sqrt(share)[:, None]
     )
     damping, n_little = DAMPING, 0
     misfit, slopes = rows.linearised(network)

@@ -85,9 +85,9 @@ class NetworkForm:
             for j in range(inputs.potentials.shape[1]):
                 for switch in range(-1, inputs.patterns.shape[1]):
                     add(COUPLING, -1.0, (1, i, j, switch))
-            for j in range(inputs.sources.shape[1]):
+            for j, powers_of_time in enumerate(inputs.source_powers, inputs.potentials.shape[1]):
                 # A heat flow in W has -3 powers of time: those of an input and its gain together.
-                add(COUPLING, -3.0 - inputs.source_powers[j], (2, i, j, -1))
+                add(COUPLING, -3.0 - powers_of_time, (2, i, j, -1))
         q = len(kinds)
         makes = np.zeros((len(places), q))
         for row, (element, state) in enumerate(pairs):
@@ -174,8 +174,8 @@ class Network:
         rates = np.exp(np.clip(logarithms @ form.makes.T, -MOST, np.log(MOST / inputs.step)))
         potentials = (inputs.potentials - self.level) * self.unit
         y, slopes = steps(
-            np.ascontiguousarray(start), rates, form.places, potentials, inputs.sources, inputs.pattern,
-            inputs.patterns, inputs.step, inputs.every, form.n_outputs, with_slopes,
+            np.ascontiguousarray(start), rates, form.places, np.hstack([potentials, inputs.sources]),
+            inputs.pattern, inputs.patterns, inputs.step, inputs.every, form.n_outputs, with_slopes,
         )  # fmt: skip
         y = y[:, inputs.n_before :]
         if not with_slopes:

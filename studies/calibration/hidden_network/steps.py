@@ -75,12 +75,32 @@ def _exponential(
 
 
 @compiled
+def _move(by: FloatArray, x: FloatArray, flow: FloatArray, into: FloatArray) -> None:
+    """Write how states and flows into them move states over a step, by a matrix (s, 2s), into an array."""
+    s = x.size
+    for a in range(s):
+        total = 0.0
+        for b in range(s):
+            total += by[a, b] * x[b] + by[a, s + b] * flow[b]
+        into[a] = total
+
+
+@compiled
+def _report(x: FloatArray, by_coupling: FloatArray, y: FloatArray, slopes: FloatArray) -> None:
+    """Write the first states into outputs (k,) and their slopes into others, (k, e + s) or (0, 0)."""
+    for k in range(y.size):
+        y[k] = x[k]
+    for k in range(slopes.shape[0]):
+        for e in range(slopes.shape[1]):
+            slopes[k, e] = by_coupling[e, k]
+
+
+@compiled
 def steps(
     start: FloatArray,
     couplings: FloatArray,
     places: IntArray,
-    potentials: FloatArray,
-    sources: FloatArray,
+    inputs: FloatArray,
     pattern: IntArray,
     patterns: FloatArray,
     step: float,
@@ -94,9 +114,8 @@ def steps(
         start: First states. Shape (n, s).
         couplings: Rates, per unit of time, of which every one moves one state. Shape (n, e). [1]
         places: Of every coupling its kind (0 to another state, 1 to a potential, 2 to a source), the state
-            that it moves, the other state, potential or source, and its switch or -1. Shape (e, 4).
-        potentials: Constant over each step. Shape (m, a).
-        sources: The same. Shape (m, b).
+            that it moves, the other state or the input, and its switch or -1. Shape (e, 4).
+        inputs: Potentials and sources, constant over each step. Shape (m, a).
         pattern: Pattern of the switches in each step. Shape (m,).
         patterns: Which switches are on. Shape (r, w).
         step: Length of a step in the unit of time. [1]
@@ -106,21 +125,20 @@ def steps(
 
     Returns:
         Outputs, shape (n, 1 + m / every, k), and their slopes by couplings and first states, shape
-        (n, 1 + m / every, k, e + s), or (n, 0, 0, 0).
+        (n, 1 + m / every, k, e + s), with k = 0 where they are not wanted.
     """
     n, s = start.shape
     n_couplings, n_patterns, n_times = couplings.shape[1], patterns.shape[0], pattern.size // every + 1
     n_slopes = n_couplings + s
     y = np.empty((n, n_times, n_outputs))
-    slopes = np.zeros((n, n_times, n_outputs, n_slopes)) if with_slopes else np.zeros((n, 0, 0, 0))
-    n_potentials, n_sources = potentials.shape[1], sources.shape[1]
+    slopes = np.zeros((n, n_times, n_outputs if with_slopes else 0, n_slopes))
     x, flow, moved = np.empty(s), np.empty(s), np.empty(s)
     by_rate, by_coupling = np.empty((s * s, s)), np.empty((n_slopes, s))
     for point in range(n):
         rates = couplings[point]
         is_on = np.ones((n_patterns, n_couplings))
         exact, tangents = np.empty((n_patterns, 2 * s, 2 * s)), np.zeros((n_patterns, s * s, 2 * s, 2 * s))
-        driven = np.zeros((n_patterns, s, n_potentials + n_sources))
+        gains = np.zeros((n_patterns, s, inputs.shape[1]))
         for p in range(n_patterns):
             matrix = np.zeros((s, s))
             for e in range(n_couplings):
@@ -132,33 +150,23 @@ def steps(
                 if kind < 2:
                     matrix[i, i] -= rates[e] * is_on[p, e]
                 if kind > 0:
-                    driven[p, i, j + (kind - 1) * n_potentials] += rates[e] * is_on[p, e]
+                    gains[p, i, j] += rates[e] * is_on[p, e]
             _exponential(matrix, step, with_slopes, exact[p], tangents[p])
         for a in range(s):
             x[a] = start[point, a]
             for e in range(n_slopes):
                 by_coupling[e, a] = 1.0 if e == n_couplings + a else 0.0
-        for k in range(n_outputs):
-            y[point, 0, k] = x[k]
-            if with_slopes:
-                for e in range(n_slopes):
-                    slopes[point, 0, k, e] = by_coupling[e, k]
+        _report(x, by_coupling, y[point, 0], slopes[point, 0])
         for m in range(pattern.size):
             p = pattern[m]
             for a in range(s):
                 total = 0.0
-                for b in range(n_potentials):
-                    total += driven[p, a, b] * potentials[m, b]
-                for b in range(n_sources):
-                    total += driven[p, a, n_potentials + b] * sources[m, b]
+                for b in range(inputs.shape[1]):
+                    total += gains[p, a, b] * inputs[m, b]
                 flow[a] = total
             if with_slopes:
                 for d in range(s * s):
-                    for a in range(s):
-                        total = 0.0
-                        for b in range(s):
-                            total += tangents[p, d, a, b] * x[b] + tangents[p, d, a, s + b] * flow[b]
-                        by_rate[d, a] = total
+                    _move(tangents[p, d], x, flow, by_rate[d])
                 for e in range(n_slopes):
                     for a in range(s):
                         total = 0.0
@@ -168,26 +176,12 @@ def steps(
                     if e < n_couplings and is_on[p, e] > 0.0:
                         kind, i, j = places[e, 0], places[e, 1], places[e, 2]
                         for a in range(s):
-                            if kind == 0:
-                                moved[a] += by_rate[i * s + j, a] - by_rate[i * s + i, a]
-                            elif kind == 1:
-                                moved[a] += exact[p, a, s + i] * potentials[m, j] - by_rate[i * s + i, a]
-                            else:
-                                moved[a] += exact[p, a, s + i] * sources[m, j]
+                            gained = exact[p, a, s + i] * inputs[m, j] if kind > 0 else by_rate[i * s + j, a]
+                            moved[a] += gained - by_rate[i * s + i, a] if kind < 2 else gained
                     for a in range(s):
                         by_coupling[e, a] = moved[a]
-            for a in range(s):
-                total = 0.0
-                for b in range(s):
-                    total += exact[p, a, b] * x[b] + exact[p, a, s + b] * flow[b]
-                moved[a] = total
-            for a in range(s):
-                x[a] = moved[a]
+            _move(exact[p], x, flow, moved)
+            x, moved = moved, x
             if (m + 1) % every == 0:
-                t = (m + 1) // every
-                for k in range(n_outputs):
-                    y[point, t, k] = x[k]
-                    if with_slopes:
-                        for e in range(n_slopes):
-                            slopes[point, t, k, e] = by_coupling[e, k]
+                _report(x, by_coupling, y[point, (m + 1) // every], slopes[point, (m + 1) // every])
     return y, slopes

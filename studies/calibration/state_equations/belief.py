@@ -24,7 +24,7 @@ class Belief:
     Attributes:
         mismatch: Of solved rows and simulated ones, see `mismatch`. [1]
         n_failed: Points that the equations proposed and whose simulation failed.
-        has_failed: Whether the last of them did.
+        has_failed: Whether the last row that was asked is one of them.
     """
 
     mismatch: float = 0.0
@@ -40,12 +40,6 @@ class Belief:
     def is_sure(self) -> bool:
         """Whether equations match what was simulated: more rows would add nothing."""
         return self.is_kept and self.mismatch <= MATCHED and not self.has_failed
-
-    def note(self, *, has_failed: bool) -> None:
-        """Count a row, and whether it was proposed and failed."""
-        # Equations know nothing of failures, and would lead there again and again.
-        self.has_failed = has_failed
-        self.n_failed += has_failed
 
 
 def mismatch(solved: FloatArray, simulated: FloatArray, sensor: float) -> float:

@@ -15,6 +15,7 @@ from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.processes.process import Features
 from studies.calibration.state_equations.product_forms import Products, ProductSum, product_sum
+from studies.calibration.state_equations.terms import TINY
 
 # Sum of squares, as a share of all, below which features explain a coefficient exactly.
 EXACT = 1e-10
@@ -22,7 +23,6 @@ EXACT = 1e-10
 MOST_FEATURES = 4
 # Of sets of features so many are looked at further; squares of a column below which others make it up.
 N_BEST, SAME_FEATURE = 12, 1e-9
-TINY = float(np.finfo(float).tiny)
 # Rows more than numbers, before chance can be separated from a formula.
 SPARE_ROWS = 2
 # Relative to the mean's square: below, a coefficient is a constant.

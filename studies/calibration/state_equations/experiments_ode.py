@@ -16,7 +16,7 @@ from simulation.parameters import ParameterSpace
 from simulation.store.joined_store import StoredExperiments
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN
+from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN, Points
 from studies.calibration.state_equations.learned_ode import LearnedODE, enough_for_equations
 from studies.calibration.state_equations.learner import EquationLearner
 from studies.calibration.state_equations.states import StateSignals, WatchedModel, watching_states
@@ -39,11 +39,7 @@ class WatchedExperiments(WatchedModel):
     """Several experiments as one model that answers their outputs and remembers what their states did."""
 
     def __init__(
-        self,
-        model: ForwardModel,
-        watched: Layout,
-        reported: Layout,
-        parts: Sequence[WatchedModel],
+        self, model: ForwardModel, watched: Layout, reported: Layout, parts: Sequence[WatchedModel]
     ) -> None:
         """Wrap a model.
 
@@ -75,12 +71,11 @@ class WatchedExperiments(WatchedModel):
     def simulate_more(self, theta: FloatArray) -> Trajectories:
         """Simulate every row in all experiments, and remember the rows before, too."""
         answer = self._model.simulate(theta)
-        reported = []
-        for one, part in zip(self._layout.experiments, self.parts, strict=True):
-            names = part.parameter_space.names, part.watched_names
-            rows = self._layout.part(one, answer, names, part.watched_time)
-            part.remember(rows)
-            reported.append(part.reported(rows))
+        watched = self._layout
+        reported = [
+            part.remember(watched.part(one, answer, part.watched_names, part.watched_time))
+            for one, part in zip(watched.experiments, self.parts, strict=True)
+        ]
         return self._reported.join(theta, reported)
 
     def simulate_alone(self, theta: FloatArray, place: int) -> Trajectories:
@@ -94,9 +89,7 @@ class WatchedExperiments(WatchedModel):
             Its own outputs.
         """
         assert isinstance(self._model, JoinedModel | StoredExperiments), "the experiments' own model"
-        rows = self._model.simulate_alone(theta, place)
-        self.parts[place].remember(rows)
-        return self.parts[place].reported(rows)
+        return self.parts[place].remember(self._model.simulate_alone(theta, place))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,24 +99,22 @@ class SingleExperiments:
     Attributes:
         cases: The experiments.
         model: Watches the states of all of them.
-        layout: How their rows become one.
         learners: Of every experiment.
         n_shown: How many points of the first design each has simulated.
     """
 
     cases: Sequence[Case]
     model: WatchedExperiments
-    layout: Layout
     learners: Sequence[EquationLearner]
     n_shown: list[int]
 
     def learn(self, u: FloatArray) -> int:
         """Learn from points (n, p) of the first design; return how many simulations that took."""
         n_before = sum(self.n_shown)
+        driven = [part.signals.driven for part in self.model.parts]
+        n_moving = [int((one != one[0]).any(axis=0).sum()) for one in driven]
         # What rests in an experiment shows nothing there; of the others the shortest costs least.
-        order = sorted(
-            range(len(self.learners)), key=lambda place: (-self._n_moving(place), len(self._driven(place)))
-        )
+        order = sorted(range(len(driven)), key=lambda place: (-n_moving[place], len(driven[place])))
         known = list[int]()
         for place in order:
             is_led = any(self._follows(place, leader, u) for leader in known)
@@ -132,17 +123,10 @@ class SingleExperiments:
             known.append(place)
         return sum(self.n_shown) - n_before
 
-    def _driven(self, place: int) -> FloatArray:
-        return self.model.parts[place].signals.driven
-
-    def _n_moving(self, place: int) -> int:
-        driven = self._driven(place)
-        return int((driven != driven[0]).any(axis=0).sum())
-
     def _learn_in(self, place: int, u: FloatArray) -> bool:
         """Simulate one experiment alone, as far as its equations need it; return whether they are sure."""
-        most = min(enough_for_equations(len(self.layout.experiments[place].parameters)), len(u))
         learner = self.learners[place]
+        most = min(enough_for_equations(learner.problem.space.n_parameters), len(u))
         for n in range(LEAST_TO_LEARN, most + 1):
             learner.note(self._simulated_in(place, u[:n]), is_proposed=False)
             if learner.is_sure:
@@ -154,9 +138,8 @@ class SingleExperiments:
         points = u[self.n_shown[place] :]
         self.n_shown[place] = len(u)
         answer = self.model.simulate_alone(self.model.parameter_space.from_unit(points), place)
-        return self.learners[place].problem.judge(
-            points[:, self.layout.experiments[place].parameters], answer
-        )
+        learner = self.learners[place]
+        return learner.problem.judge(points[:, learner.parameters], answer)
 
     def _follows(self, place: int, leader: int, u: FloatArray) -> bool:
         """Let an experiment follow another one's equations, where these or one row say what they are here."""
@@ -180,9 +163,11 @@ class SingleExperiments:
             return False
         here, there = unknown[0]
         answer = self._simulated_in(place, u[:1])
-        shown = learner.with_effect(taken_over, answer, there - here)
-        if shown is not None:
-            learner.follow(shown, misfit)
+        rows, points = learner.seen(answer.theta), Points.of(learner.problem.space, answer.u)
+        if rows.are_known.all():
+            shown = taken_over.with_effect(points, rows, there - here, learner.known.products)
+            if shown is not None:
+                learner.follow(shown, misfit)
         learner.note(answer, is_proposed=False)
         return learner.is_sure
 
@@ -218,8 +203,8 @@ def learned_ode(case: Case, model: WatchedModel, problem: CalibrationProblem) ->
     if case.layout is None or not isinstance(model, WatchedExperiments):
         return LearnedODE([EquationLearner(model.signals, model.seen, problem)], problem)
     learners = [
-        EquationLearner(part.signals, part.seen, CalibrationProblem(part, one.measurement))
-        for part, one in zip(model.parts, case.experiments, strict=True)
+        EquationLearner(part.signals, part.seen, CalibrationProblem(part, one.measurement), place)
+        for part, one, place in zip(model.parts, case.experiments, case.layout.experiments, strict=True)
     ]
-    single = SingleExperiments(case.experiments, model, case.layout, learners, [0] * len(learners))
-    return LearnedODE(learners, problem, case.layout, single.learn)
+    single = SingleExperiments(case.experiments, model, learners, [0] * len(learners))
+    return LearnedODE(learners, problem, single.learn)

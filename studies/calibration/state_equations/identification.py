@@ -1,19 +1,23 @@
-"""Identification of one experiment's state equations: their terms, then their coefficients."""
+"""Identification of one experiment's state equations from its rows: their terms, then their coefficients."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import ParameterSpace
+from studies.calibration.growing_rows import GrowingRows
 from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN, Coefficient, Points
 from studies.calibration.state_equations.equations import NO_FORMULAS, StateEquations, Structure
-from studies.calibration.state_equations.hidden_inputs import Course
-from studies.calibration.state_equations.learnt_rows import LearntRows
+from studies.calibration.state_equations.hidden_inputs import Course, LocalVariables
 from studies.calibration.state_equations.product_forms import Products
-from studies.calibration.state_equations.states import StateSignals
-from studies.calibration.state_equations.switch_positions import with_switches
+from studies.calibration.state_equations.states import StateRows, StateSignals
+from studies.calibration.state_equations.switch_positions import (
+    SwitchPositions,
+    with_positions,
+    with_switches,
+)
 from studies.calibration.state_equations.term_choice import Fit
 from studies.calibration.state_equations.terms import spread
 
@@ -24,6 +28,53 @@ CLEARLY = 0.8
 
 DIFFERENT = "not all simulations follow the same ones"
 NOT_FINITE = "numbers overflow where they are fitted"
+
+
+class LearntRows:
+    """Rows whose states are known.
+
+    Attributes:
+        u: Their points. Shape (n, p). [1]
+        hidden: The variables that follow time alone in all of them.
+        switches: The variables of two values.
+    """
+
+    def __init__(self, signals: StateSignals, n_parameters: int, n_residuals: int) -> None:
+        """Begin without rows.
+
+        Args:
+            signals: What is known of the states.
+            n_parameters: Parameters p.
+            n_residuals: Residuals m of a row.
+        """
+        self.u = np.empty((0, n_parameters))
+        self.hidden, self.switches = LocalVariables(signals), SwitchPositions(signals)
+        self._states, self._residuals = list[StateRows](), GrowingRows(n_residuals)
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Simulated residuals. Shape (n, m). [first output's unit]."""
+        return self._residuals.rows
+
+    def add(self, u: FloatArray, rows: StateRows, residuals: FloatArray) -> None:
+        """Add rows: points (k, p), what states did there, and residuals (k, m)."""
+        self.u = np.concatenate([self.u, u])
+        self._residuals.add(residuals)
+        self._states.append(rows._replace(locals=None))
+        self.hidden.note(rows.locals)
+        self.switches.note(rows.locals)
+
+    def states(self, signals: StateSignals) -> StateRows:
+        """Return what states and outputs did in all rows, the signals' switches among the states."""
+        # The fourth part, other variables, is None.
+        x, slope, y, _ = zip(*self._states, strict=True)
+        rows = StateRows(np.concatenate(x), np.concatenate(slope), np.concatenate(y))
+        positions = self.switches.known()
+        return with_positions(rows, [positions[name] for name in signals.states[signals.n_continuous :]])
+
+    def hold(self, u: FloatArray) -> BoolArray:
+        """Return which points (n, p) are among them. Shape (n,)."""
+        return np.asarray((self.u == u[:, None]).all(axis=2).any(axis=1))
 
 
 class Identification:

@@ -7,15 +7,14 @@ nothing. Experiments of one model have equations each, and residuals that are mi
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
-from simulation.layout import Layout
-from studies.calibration.box_newton import Expansion
-from studies.calibration.descent import jacobians
+from studies.calibration.box_newton import SAME_POINT, Expansion
+from studies.calibration.descent import Descents, descend_together, jacobians, objectives
 from studies.calibration.growing_rows import GrowingRows
 from studies.calibration.largest_samples import outlying_part
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -23,13 +22,21 @@ from studies.calibration.state_equations.belief import squared_differences
 from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN
 from studies.calibration.state_equations.equation_model import EquationExperiments, EquationModel
 from studies.calibration.state_equations.learner import EquationLearner
-from studies.calibration.state_equations.optimum import Optimum
 from studies.calibration.state_equations.states import WatchedModel
+from studies.calibration.state_equations.terms import TINY
 
 # Rows after which equations are taken though some coefficient is no formula, by parameter and at least.
 # With 14 rows at first, 14 parameters took 16 calls to 1.02 times instead of 12;
 # with 8 rows, up to 31 (docs/notes/state-equations.md, First form).
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
+
+# Random points that are looked at, and how many of the best of them are walked downhill.
+N_LOOKS, N_WALKS = 400, 20
+# Parts of the time that walks of equations with switches fit first, one after the other.
+# Of 16 such searches all ended at the least error (docs/notes/state-equations.md, Switches).
+PARTS_OF_TIME = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
+# How far beside a point that is known another one is drawn. By hand. [1]
+BESIDE_KNOWN = 0.02
 
 LEAST_CALLS = LEAST_TO_LEARN + 1
 """The rows that the simplest equations are learnt from, and the best point that these expect."""
@@ -40,29 +47,11 @@ def enough_for_equations(n_parameters: int) -> int:
     return max(math.ceil(PER_PARAMETER * n_parameters), LEAST_ROWS)
 
 
-class Part(NamedTuple):
-    """An experiment's equations, and where what belongs to it stands among what belongs to all.
-
-    Attributes:
-        name: Its name.
-        parameters: Columns of its parameters.
-        outputs: Columns of its outputs.
-        n_times: How many of the output times it has, from the first on.
-        learner: Learns them.
-    """
-
-    name: str
-    parameters: IntArray | slice
-    outputs: IntArray | slice
-    n_times: int
-    learner: EquationLearner
-
-
 class LearnedODE:
     """The state equations of a calibration problem, as far as its rows show them.
 
     Attributes:
-        parts: Of every experiment.
+        experiments: The equations of each, all of them or the only one.
         predicted: The objective that was expected of the point proposed last, None once it is known or
             forgotten. [unit squared]
         n_asked: Proposed points that were simulated.
@@ -72,31 +61,20 @@ class LearnedODE:
 
     def __init__(
         self,
-        learners: Sequence[EquationLearner],
+        experiments: Sequence[EquationLearner],
         problem: CalibrationProblem,
-        layout: Layout | None = None,
         alone: Callable[[FloatArray], int] = lambda u: 0,
     ) -> None:
         """Begin with nothing known.
 
         Args:
-            learners: One for every experiment.
+            experiments: The equations of each of the problem's experiments.
             problem: The problem.
-            layout: How rows of several experiments become one, None for a single one.
-            alone: Learns from single experiments at points of the first design, and returns how many
+            alone: Learns from single experiments at points (n, p) of the first design, and returns how many
                 simulations these took.
         """
-        whole = slice(None)
-        self.parts = (
-            [Part("", whole, whole, len(problem.measurement.time), *learners)]
-            if layout is None
-            else [
-                Part(one.name, one.parameters, one.outputs, one.n_times, learner)
-                for one, learner in zip(layout.experiments, learners, strict=True)
-            ]
-        )
-        self._problem, self._layout, self._alone = problem, layout, alone
-        self._optimum = Optimum(problem, self._residuals)
+        self.experiments, self._problem, self._alone = experiments, problem, alone
+        self._descents = Descents(problem.prior, problem.space.n_parameters, N_WALKS)
         self._u = np.empty((0, problem.space.n_parameters))
         self._answers = GrowingRows(problem.measurement.n_samples)
         self._think_of: Callable[[str], None] = lambda subject: None
@@ -119,56 +97,55 @@ class LearnedODE:
         return cls([EquationLearner(model.signals, model.seen, problem)], problem)
 
     @property
-    def _learners(self) -> list[EquationLearner]:
-        return [part.learner for part in self.parts]
-
-    @property
     def is_believed(self) -> bool:
         """Whether all equations do what the rows do, and have not led to failures."""
-        return all(one.is_believed for one in self._learners)
+        return all(one.is_believed for one in self.experiments)
 
     @property
     def is_sure(self) -> bool:
         """Whether all equations match what was simulated: more rows would add nothing."""
-        return all(one.is_sure for one in self._learners)
+        return all(one.is_sure for one in self.experiments)
 
     @property
     def is_learnt(self) -> bool:
         """Whether all experiments have equations, believed or not."""
-        return all(one.equations is not None for one in self._learners)
+        return all(one.equations is not None for one in self.experiments)
 
     @property
     def model(self) -> EquationModel | EquationExperiments | None:
         """A model that answers by the equations, None where they are not known exactly."""
-        models = [model for one in self._learners if (model := one.model) is not None]
-        if len(models) < len(self.parts):
+        models = [
+            EquationModel(one.equations, one.problem.space, one.problem.model.time)
+            for one in self.experiments
+            if one.equations is not None and one.is_sure
+        ]
+        if len(models) < len(self.experiments):
             return None
-        if self._layout is None:
-            return models[0]
-        return EquationExperiments(models, self._layout, self._problem.space)
+        layout, space = self._problem.layout, self._problem.space
+        return models[0] if layout is None else EquationExperiments(models, layout, space)
 
     @property
     def n_states(self) -> int:
         """States whose equations it learns, without positions of switches."""
-        return self.parts[0].learner.known.signals.n_continuous
+        return self.experiments[0].known.signals.n_continuous
 
     @property
     def hidden_inputs(self) -> tuple[str, ...]:
         """Names of the variables of the FMU that the equations take as inputs beside the declared ones."""
-        return tuple(dict.fromkeys(name for one in self._learners for name in one.hidden_inputs))
+        used = [one.equations.signals for one in self.experiments if one.equations is not None]
+        return tuple(dict.fromkeys(name for one in used for name in one.inputs[one.n_declared :]))
 
     @property
     def misfit(self) -> float:
         """Greatest share of squares that the terms of a derivative or an output leave. [1]."""
-        return max(one.known.misfit for one in self._learners)
+        return max(one.known.misfit for one in self.experiments)
 
     @property
     def why_not(self) -> str:
         """Why there are no equations, in words."""
-        if self._layout is None:
-            return self.parts[0].learner.known.why_not
-        lacking = (part for part in self.parts if part.learner.equations is None)
-        return next((f"experiment {part.name}: {part.learner.known.why_not}" for part in lacking), "")
+        lacking = (one for one in self.experiments if one.equations is None)
+        named = (f"experiment {one.name}: {one.known.why_not}" for one in lacking)
+        return self.experiments[0].known.why_not if self._problem.layout is None else next(named, "")
 
     @property
     def error_at_best(self) -> float:
@@ -178,7 +155,7 @@ class LearnedODE:
         best = int(np.argmin(mse))
         error = squared_differences(self._residuals(self._u[[best]]), answered[[best]])[0]
         rest = mse[best] - outlying_part(answered[best], float(self._problem.measurement.uncertainty[0]))
-        share = float(error / (rest + np.finfo(float).tiny))
+        share = float(error / (rest + TINY))
         return share if np.isfinite(share) else np.inf
 
     @property
@@ -191,8 +168,8 @@ class LearnedODE:
     def left_out(self) -> BoolArray:
         """Which parameters are in no equation: what they do, as where a weir begins, no row has shown."""
         is_out = np.full(self._problem.space.n_parameters, self.is_learnt)
-        for part in self.parts:
-            is_out[part.parameters] &= part.learner.left_out
+        for one in self.experiments:
+            is_out[one.parameters] &= one.left_out
         return is_out
 
     def unseen(self, u: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
@@ -209,9 +186,9 @@ class LearnedODE:
         Returns:
             Shape (n, p). [1]
         """
-        points = np.tile(u, (n, len(self.parts), 1))
-        for place, part in enumerate(self.parts):
-            points[:, place, part.parameters] = part.learner.unseen(u[part.parameters], n, rng)
+        points = np.tile(u, (n, len(self.experiments), 1))
+        for place, one in enumerate(self.experiments):
+            points[:, place, one.parameters] = one.unseen(u[one.parameters], n, rng)
         # The first of each experiment, then the second ones.
         return points.reshape(-1, len(u))[:n]
 
@@ -226,7 +203,7 @@ class LearnedODE:
     def report_to(self, think_of: Callable[[str], None]) -> None:
         """Call this from now on with what is looked at, as that may take seconds."""
         self._think_of = think_of
-        for one in self._learners:
+        for one in self.experiments:
             one.known.think_of = think_of
 
     def learn_alone(self, u: FloatArray) -> int:
@@ -239,7 +216,7 @@ class LearnedODE:
             How many whole rows they are worth, rounded up.
         """
         self.n_alone += self._alone(u)
-        return math.ceil(self.n_alone / len(self.parts))
+        return math.ceil(self.n_alone / len(self.experiments))
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked, each experiment from its part.
@@ -250,17 +227,12 @@ class LearnedODE:
         is_proposed = self.predicted is not None
         self.n_asked += is_proposed
         self.predicted = None
-        if self._layout is None:
-            learner = self.parts[0].learner
-            learner.note(answer, is_proposed=is_proposed)
-            is_kept = learner.rows.hold(answer.u)
+        if self._problem.layout is None:
+            self.experiments[0].note(answer, is_proposed=is_proposed)
+            is_kept = self.experiments[0].rows.hold(answer.u)
         else:
-            for part in self.parts:
-                # What was simulated alone is no news in a whole row.
-                is_new = ~part.learner.rows.hold(answer.u[:, part.parameters])
-                if is_new.any():
-                    own = _in_experiment(part, answer, np.flatnonzero(is_new))
-                    part.learner.note(own, is_proposed=is_proposed)
+            for one in self.experiments:
+                one.note_part(answer, is_proposed=is_proposed)
             is_kept = np.isfinite(answer.mse)
         self._u = np.concatenate([self._u, answer.u[is_kept]])
         self._answers.add(answer.residuals[is_kept])
@@ -276,28 +248,59 @@ class LearnedODE:
             rng: Source of the points that are looked at.
         """
         self._think_of("optimum by the state equations")
+        looks, p = rng.random((N_LOOKS, known.shape[1])), known.shape[1]
         # Not studied: switches in several experiments.
-        has_switches = self._layout is None and self.parts[0].learner.known.signals.n_switches > 0
-        u, value = self._optimum.point(objective, known, rng, has_switches=has_switches, is_sure=self.is_sure)
-        self.predicted = self._optimum.expected(u)
+        if self._problem.layout is None and self.experiments[0].known.signals.n_switches:
+            looks = np.concatenate([ends_of_parts(self._problem, self._residuals, rng), looks])
+        rows = known[np.argsort(objective, kind="stable")]
+        ends, values = self._descents.lowest(self._residuals, looks, rows)
+        u, value = ends[0], float(values[0])
+        distance = np.abs(known - u).max(axis=1)
+        if distance.min(initial=np.inf) < SAME_POINT:
+            nearest = int(np.argmin(distance))
+            # That point is known; one a little beside adds more.
+            if self.is_sure and np.isfinite(objective[nearest]):
+                value = float(objective[nearest])
+            u = np.clip(u + rng.uniform(-BESIDE_KNOWN, BESIDE_KNOWN, p), 0.0, 1.0)
+        self.predicted = float(objectives(self._problem.prior, u[None], self._residuals(u[None]))[0])
         # With no curvature, points that are drawn beside this one spread alike in all directions.
-        return u, Expansion.known(value, value, np.zeros(len(u)), np.zeros((len(u), len(u))))
+        return u, Expansion.known(value, value, np.zeros(p), np.zeros((p, p)))
 
     @np.errstate(all="ignore")
     def _residuals(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         measurement = self._problem.measurement
         y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
-        for part in self.parts:
-            n = part.n_times if n_outputs is None else n_outputs
-            y[:, :n, part.outputs] = part.learner.outputs(u[:, part.parameters], n_outputs)
+        for one in self.experiments:
+            outputs = one.solved(u[:, one.parameters], n_outputs)
+            y[:, : outputs.shape[1], one.outputs] = outputs
         return measurement.compared(y)
 
 
-def _in_experiment(part: Part, answer: Evaluation, rows: IntArray) -> Evaluation:
-    """Return what some rows are in one experiment."""
-    y = np.ascontiguousarray(answer.y[rows, : part.n_times][..., part.outputs])
-    residuals = part.learner.problem.measurement.compared(y)
-    mse = np.where(np.isfinite(answer.mse[rows]), np.mean(residuals**2, axis=1), np.inf)
-    u, theta = (np.ascontiguousarray(values[rows][:, part.parameters]) for values in (answer.u, answer.theta))
-    return Evaluation(u, theta, y, residuals, mse, mse, tuple(answer.failures[row] for row in rows))
+def ends_of_parts(
+    problem: CalibrationProblem, solved: Callable[[FloatArray, int], FloatArray], rng: np.random.Generator
+) -> FloatArray:
+    """Return where walks end that fit a part of the time, then twice as much and so on. Shape (w, p). [1].
+
+    The error over the whole time jumps with the number of changes; over a short time there are few.
+
+    Args:
+        problem: The problem.
+        solved: Points and a number of outputs to residuals by the equations, as if later ones were zero.
+        rng: Source of the random points.
+    """
+    measurement, p = problem.measurement, problem.space.n_parameters
+    ends = np.empty((0, p))
+    for part in PARTS_OF_TIME:
+        n = math.ceil(part * len(measurement.time))
+        late = np.zeros((1, len(measurement.time), len(measurement.output_names)))
+        late[:, n:] = 1.0
+        is_seen = (measurement.compared(late) == measurement.compared(0.0 * late))[0]
+
+        def residuals(u: FloatArray, n: int = n, is_seen: BoolArray = is_seen) -> FloatArray:
+            return solved(u, n)[:, is_seen]
+
+        starts = np.concatenate([ends, rng.random((N_LOOKS, p))])
+        best = np.argsort(objectives(None, starts, residuals(starts)), kind="stable")[:N_WALKS]
+        ends, _ = descend_together(residuals, problem.prior, starts[best])
+    return ends

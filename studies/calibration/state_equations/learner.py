@@ -4,16 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.layout import Experiment
 from studies.calibration.box_newton import SAME_POINT
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.state_equations.belief import MATCHED, Belief, mismatch
 from studies.calibration.state_equations.coefficient import Points
-from studies.calibration.state_equations.equation_model import EquationModel
 from studies.calibration.state_equations.equations import StateEquations
-from studies.calibration.state_equations.identification import DIFFERENT, Identification
-from studies.calibration.state_equations.learnt_rows import LearntRows
+from studies.calibration.state_equations.identification import DIFFERENT, Identification, LearntRows
 from studies.calibration.state_equations.states import StateRows, StateSignals
+from studies.calibration.state_equations.terms import TINY
 
 # So many of the last rows are compared with solved ones: it costs a solution of each.
 N_COMPARED = 16
@@ -31,20 +31,34 @@ class EquationLearner:
 
     Attributes:
         problem: The experiment's own problem.
+        seen: Returns what its states did.
+        name: Its name, "" for a single one.
+        parameters: Columns of its parameters among those of all experiments.
+        outputs: Columns of its outputs.
         rows: What they are learnt from.
         known: What is known of them.
         equations: The equations, None where there are none.
     """
 
-    def __init__(self, signals: StateSignals, seen: Seen, problem: CalibrationProblem) -> None:
+    def __init__(
+        self,
+        signals: StateSignals,
+        seen: Seen,
+        problem: CalibrationProblem,
+        experiment: Experiment | None = None,
+    ) -> None:
         """Begin with nothing known.
 
         Args:
             signals: What is known of the states.
             seen: Returns what they did.
             problem: The experiment's problem.
+            experiment: Where it stands among several, None for a single one.
         """
-        self.problem, self._seen = problem, seen
+        self.problem, self.seen = problem, seen
+        self.name = "" if experiment is None else experiment.name
+        self.parameters: IntArray | slice = slice(None) if experiment is None else experiment.parameters
+        self.outputs: IntArray | slice = slice(None) if experiment is None else experiment.outputs
         self.rows = LearntRows(signals, problem.space.n_parameters, problem.measurement.n_samples)
         self.known = Identification(signals, problem.space)
         self.equations: StateEquations | None = None
@@ -60,18 +74,6 @@ class EquationLearner:
     def is_sure(self) -> bool:
         """Whether the equations match what was simulated: more rows would add nothing."""
         return self.equations is not None and self._belief.is_sure
-
-    @property
-    def model(self) -> EquationModel | None:
-        """A model that answers by the equations, None where they are not known exactly."""
-        if self.equations is None or not self.is_sure:
-            return None
-        return EquationModel(self.equations, self.problem.space, self.problem.model.time)
-
-    @property
-    def hidden_inputs(self) -> tuple[str, ...]:
-        """Names of the variables of the FMU that the equations take as inputs beside the declared ones."""
-        return () if self.equations is None else self.known.signals.inputs[self.known.signals.n_declared :]
 
     @property
     def left_out(self) -> BoolArray:
@@ -95,7 +97,7 @@ class EquationLearner:
             least, greatest = self.equations.reach(Points.of(self.problem.space, looks))
         seen = self.rows.states(self.known.signals).x
         low, high = seen.min(axis=(0, 1)), seen.max(axis=(0, 1))
-        span = np.maximum(high - low, LEAST_RANGE * np.abs(seen).max(axis=(0, 1)) + np.finfo(float).tiny)
+        span = np.maximum(high - low, LEAST_RANGE * np.abs(seen).max(axis=(0, 1)) + TINY)
         beyond = np.concatenate([low - least, greatest - high], axis=1) / np.tile(span, 2)
         beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
         # By turns the farthest of every state in either direction, those first that go farthest.
@@ -115,25 +117,6 @@ class EquationLearner:
         """
         self.equations, self._is_given, self.known.misfit = equations, True, misfit
 
-    def with_effect(
-        self, equations: StateEquations, answer: Evaluation, amount: float
-    ) -> StateEquations | None:
-        """Return another experiment's equations with what the change of a fixed value adds to them here.
-
-        Args:
-            equations: The equations.
-            answer: One row of this experiment.
-            amount: The change. [FMU's unit]
-
-        Returns:
-            The equations; None where the row failed or shows something else.
-        """
-        rows = self._seen(answer.theta)
-        if not rows.are_known.all():
-            return None
-        points = Points.of(self.problem.space, answer.u)
-        return equations.with_effect(points, rows, amount, self.known.products)
-
     def note(self, answer: Evaluation, *, is_proposed: bool) -> None:
         """Learn from rows that were asked.
 
@@ -145,9 +128,11 @@ class EquationLearner:
             return
         was_confirmed = self.is_sure and self._has_proposed and not self._is_given
         good = np.isfinite(answer.mse)
-        self._belief.note(has_failed=is_proposed and not good[0])
+        # Equations know nothing of failures, and would lead there again and again.
+        self._belief.has_failed = is_proposed and not bool(good[0])
+        self._belief.n_failed += self._belief.has_failed
         self._has_proposed |= is_proposed
-        rows = self._seen(answer.theta)
+        rows = self.seen(answer.theta)
         whole = good & rows.are_known
         if not whole.any():
             return
@@ -166,16 +151,30 @@ class EquationLearner:
             self.known.why_not, self._is_refuted = DIFFERENT, True
         self._belief.mismatch = self._mismatch(self.rows.u[-N_COMPARED:], self.rows.residuals[-N_COMPARED:])
 
+    def note_part(self, answer: Evaluation, *, is_proposed: bool) -> None:
+        """Learn from rows of all experiments, as far as this one is new in them, see `note`."""
+        # What was simulated alone is no news in a whole row.
+        rows = np.flatnonzero(~self.rows.hold(answer.u[:, self.parameters]))
+        if not rows.size:
+            return
+        measurement = self.problem.measurement
+        y = np.ascontiguousarray(answer.y[rows, : len(measurement.time)][..., self.outputs])
+        residuals = measurement.compared(y)
+        mse = np.where(np.isfinite(answer.mse[rows]), np.mean(residuals**2, axis=1), np.inf)
+        u, theta = (np.ascontiguousarray(one[rows][:, self.parameters]) for one in (answer.u, answer.theta))
+        failures = tuple(answer.failures[row] for row in rows)
+        self.note(Evaluation(u, theta, y, residuals, mse, mse, failures), is_proposed=is_proposed)
+
     def _mismatch(self, u: FloatArray, residuals: FloatArray) -> float:
         """Return how equations, solved at points (n, p), differ from simulated residuals (n, m). [1]."""
         if self.equations is None:
             return 0.0
         measurement = self.problem.measurement
         with np.errstate(all="ignore"):
-            solved = measurement.compared(self.outputs(u))
+            solved = measurement.compared(self.solved(u))
         return mismatch(solved, residuals, float(measurement.uncertainty[0]))
 
-    def outputs(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
+    def solved(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Solve the equations.
 
         Args:

@@ -17,7 +17,7 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.state_equations.term_choice import explained_by_pairs
-from studies.calibration.state_equations.terms import spread
+from studies.calibration.state_equations.terms import TINY, spread
 
 # Weighted squares, as a share of those around the mean, below which a formula is exact. Sums of two are so
 # many that with few rows some would fit the errors of one product: there, the second counts.
@@ -64,13 +64,11 @@ class Products:
         for n_factors in range(1, MOST_FACTORS + 1):
             if len(powers) + comb(space.n_parameters, n_factors) * 2**n_factors > MOST_PRODUCTS:
                 break
-            more = []
             for chosen in combinations(range(space.n_parameters), n_factors):
                 for signs in product(*[(1, -1) if kept[one] else (1,) for one in chosen]):
                     row = np.zeros(space.n_parameters, dtype=np.int64)
                     row[list(chosen)] = signs
-                    more.append(row)
-            powers += more
+                    powers.append(row)
             if len(powers) <= MOST_PAIRED:
                 n_paired = len(powers)
         return cls(np.array(powers), n_paired)
@@ -174,7 +172,7 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
         for kind, goal in enumerate(goals):
             weight = _weight(goal[some])
             scaled, sought = table * weight[:, None], goal[some] * weight
-            scaled = scaled / np.maximum(np.sqrt(np.square(scaled).sum(axis=0)), np.finfo(float).tiny)
+            scaled = scaled / np.maximum(np.sqrt(np.square(scaled).sum(axis=0)), TINY)
             explained = _pairs(scaled, sought) if n_summed == 2 else _longer(scaled, sought, beginnings[kind])
             beginnings[kind] = _best_sums(explained, beginnings.get(kind))
             judged += [
@@ -208,7 +206,7 @@ def _judged(
     error = columns @ amounts - goal
     # Weighted, a constant is the weight itself: its projection is what a constant explains.
     around = goal - weight * (weight @ goal) / (weight @ weight)
-    left = float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
+    left = float(error @ error) / max(float(around @ around), TINY)
     return left if np.isfinite(left) else np.inf, ProductSum(amounts, powers, is_reciprocal)
 
 
@@ -222,7 +220,7 @@ def _single(table: FloatArray, values: FloatArray) -> int:
     """Return which product (n, m) explains values alone the best."""
     weight = _weight(values)
     table, values = table * weight[:, None], values * weight
-    amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), np.finfo(float).tiny)
+    amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), TINY)
     left = np.square(values[:, None] - table * amounts).sum(axis=0)
     return int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.state_equations.terms import Term
+from studies.calibration.state_equations.terms import TINY, Term
 
 # Sums of squares, as a share of the derivative's, that a complete sum of terms leaves.
 # Where equations exist, fits explained 13 digits or more of the squares, else
@@ -82,7 +82,7 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
     pairs = [np.linalg.qr(one) for one in values]
     columns = np.array([triangle for _, triangle in pairs])
     goals = np.array([axes.T @ goal for (axes, _), goal in zip(pairs, target, strict=True)])
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    size = np.square(target).sum(axis=1) + TINY
     # What lies outside of all terms is lost in the projection, and is added to all that is left later.
     out_of_reach = np.maximum(1.0 - np.square(goals).sum(axis=1) / size, 0.0).mean()
 
@@ -112,7 +112,7 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
 
 def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[list[int], float]:
     """Add terms to those that are begun with, take needless ones away; return them and what they leave."""
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    size = np.square(target).sum(axis=1) + TINY
     chosen, left, axes = list[int](), target.copy(), values[..., :0]
     squares = np.square(values).sum(axis=1)
     while len(chosen) < min(MOST_TERMS, values.shape[2], target.shape[1] - 1):
@@ -161,7 +161,7 @@ def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
     """Return the two terms (n, t, f) that explain most of a target (n, t) together, mean over rows."""
     explained = np.zeros((values.shape[2],) * 2)
     for columns, goal in zip(values, target, strict=True):
-        along = goal @ columns / np.sqrt(goal @ goal + np.finfo(float).tiny)
+        along = goal @ columns / np.sqrt(goal @ goal + TINY)
         explained += np.minimum(explained_by_pairs(columns, along, alike=0.0), 1.0)
     first, second = np.unravel_index(int(np.argmax(explained)), explained.shape)
     return [int(first), int(second)] if explained[first, second] > 0.0 else []
@@ -201,7 +201,6 @@ class Fit(NamedTuple):
 
 def fitted(values: FloatArray, target: FloatArray) -> Fit:
     """Fit terms, values of shape (t, f), to one row's target (t,)."""
-    tiny = np.finfo(float).tiny
     with np.errstate(all="ignore"):
         norm = np.sqrt(np.square(values).sum(axis=0))
         if not (np.isfinite(norm).all() and np.isfinite(target).all()):
@@ -218,8 +217,8 @@ def fitted(values: FloatArray, target: FloatArray) -> Fit:
         # Standard deviation of least squares: root of the diagonal of the
         # inverse normal matrix times the variance that is left.
         deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
-        share = deviation / (np.abs(found) + tiny)
-        return Fit(found / norm, share, rest / (float(np.square(target).sum()) + tiny))
+        share = deviation / (np.abs(found) + TINY)
+        return Fit(found / norm, share, rest / (float(np.square(target).sum()) + TINY))
 
 
 def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -> float:
@@ -256,7 +255,7 @@ def _more_without(columns: FloatArray, goals: FloatArray, size: FloatArray) -> t
 
 def _without_needless(values: FloatArray, target: FloatArray, chosen: list[int]) -> list[int]:
     limit = max(NEEDLESS, 10.0 * unexplained(values, target, chosen))
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    size = np.square(target).sum(axis=1) + TINY
     while len(chosen) > 1:
         _, more = _more_without(values[..., chosen], target, size)
         least = int(np.argmin(more))

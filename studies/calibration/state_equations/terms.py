@@ -24,6 +24,9 @@ DIMENSIONLESS, TEMPERATURE, ANGLE = ("", "1"), "K", ("", "1", "rad")
 # moves little (docs/notes/state-equations.md, Whole powers).
 MOST_CANDIDATES = 800
 
+# Added to a size that is divided by: the smallest number with all digits.
+TINY = float(np.finfo(float).tiny)
+
 # Exponentials and saturations are missing, as their places are parameters (the same note, Functions and
 # compiled steps). Functions have the sign of their argument where a flow turns with its difference.
 FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
