@@ -23,8 +23,8 @@ from studies.calibration.state_equations.states import StateRows, StateSignals
 from studies.calibration.state_equations.switch_rules import switch_rules
 from studies.calibration.state_equations.term_choice import Fit, chosen_terms, fitted
 from studies.calibration.state_equations.terms import (
-    N_ROWS,
-    N_TIMES,
+    N_CHOICE_ROWS,
+    N_CHOICE_TIMES,
     TINY,
     Sum,
     Term,
@@ -88,7 +88,7 @@ class Structure:
         """
         sums, worst = dict[int, Sum](), 0.0
         # A part of the rows, at a part of the times, is enough to find the terms.
-        some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
+        some, times = spread(len(rows.x), N_CHOICE_ROWS), spread(rows.x.shape[1] - 1, N_CHOICE_TIMES)
         x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
         names = (*signals.derivatives, *signals.outputs)
@@ -289,7 +289,7 @@ class StateEquations:
             if isinstance(switched, str):
                 return switched
             equations = switched
-        some = points.part(spread(len(points.x), N_ROWS))
+        some = points.part(spread(len(points.x), N_CHOICE_ROWS))
         assert isinstance(equations.flow, SteppedFlow), "linear equations were returned above"
         with np.errstate(all="ignore"):
             fine = equations.flow.fine_enough(values(start, some).T, equations._rates(some))

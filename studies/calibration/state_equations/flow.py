@@ -25,7 +25,7 @@ MOST_MODES = 64
 EXPONENTIAL = 30
 # Parts of a communication step, and the change by halving them that is small: relative to how a state moves,
 # or to one that is at rest.
-MOST_PARTS, SMALL_CHANGE, ROUNDING = 64, 1e-2, 1e-9
+MOST_PARTS, SMALL_CHANGE, SMALL_AT_REST = 64, 1e-2, 1e-9
 # The same where switches change, whose times errors move. With two parts instead of four a heat pump took
 # four calls more for its last 7 % (docs/notes/state-equations.md, Switches).
 SMALL_WITH_SWITCHES = 1e-3
@@ -177,7 +177,7 @@ class SteppedFlow:
             n = self.signals.n_continuous
             change = np.sqrt(np.mean((states - coarse)[is_known, :, :n] ** 2, axis=1))
             solved = states[is_known, :, :n]
-            small = share * solved.std(axis=1) + ROUNDING * np.abs(solved).max(axis=1)
+            small = share * solved.std(axis=1) + SMALL_AT_REST * np.abs(solved).max(axis=1)
             if change.size and (change <= small).all():
                 return flow
             coarse = states

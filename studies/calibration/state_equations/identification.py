@@ -24,7 +24,7 @@ from studies.calibration.state_equations.terms import spread
 # A course of hidden inputs is taken for another one that misses this part of it or less.
 # Without it, smooth signals were made to jump to mend others' jumps (docs/notes/state-equations.md,
 # Weather inside the FMU).
-CLEARLY = 0.8
+BETTER_COURSE = 0.8
 
 DIFFERENT = "not all simulations follow the same ones"
 NOT_FINITE = "numbers overflow where they are fitted"
@@ -192,7 +192,7 @@ class Identification:
         # equations were not believed (docs/notes/state-equations.md, Weather inside the FMU).
         course = Course(signals.at_outputs[:, n_declared:], signals.every)
         least, before = equations.missed(points, x), np.inf
-        while least < CLEARLY * before:
+        while least < BETTER_COURSE * before:
             before = least
             # Signal by signal until nothing changes: combinations of all their places would be too many.
             for hidden in range(signals.n_hidden):
@@ -200,7 +200,7 @@ class Identification:
                     driven = np.concatenate([signals.driven[:, :n_declared], other.driven], axis=1)
                     changed = equations.with_signals(replace(signals, driven=driven))
                     missed = changed.missed(points, x)
-                    if missed < CLEARLY * least:
+                    if missed < BETTER_COURSE * least:
                         equations, course, least = changed, other, missed
         self._has_course, self.signals = True, equations.signals
         return equations

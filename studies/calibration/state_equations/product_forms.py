@@ -23,8 +23,8 @@ from studies.calibration.state_equations.terms import TINY, spread
 # many that with few rows some would fit the errors of one product: there, the second counts.
 # Errors of 1e-4 and 1e-5, squared: coefficients of the office are good
 # to 1e-5 and worse (docs/notes/state-equations.md, Whole powers).
-EXACT, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
-# Rows more than amounts, before chance can be separated from a formula.
+EXACT_PRODUCTS, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
+# Rows more than amounts or other numbers, before chance can be separated from a formula.
 SPARE_ROWS = 2
 # The same of longer sums, of which there are more: they have to be what is written into a model.
 EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
@@ -34,12 +34,12 @@ EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
 MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
 # So many rows decide which products may be meant.
 # So a coefficient without formula takes 14 to 45 ms, with up to 200 rows and 22 parameters (the same note).
-MOST_ROWS = 12
+MOST_PROPOSING = 12
 # All sums of two are looked at; of longer ones those that begin with the best shorter ones, so many. So many
 # are looked at closely. Squared sines below which a product is made up by others.
 # All of 20 drawn sums of three were found so, from six
 # rows; of sums of four 2 of 5, from ten (the same note).
-MOST_SUMMED, N_BEGINNINGS, N_BEST, SAME_PRODUCT = 3, 200, 8, 1e-10
+MOST_SUMMED, N_BEGINNINGS, N_BEST_SUMS, SAME_PRODUCT = 3, 200, 8, 1e-10
 # Values count by themselves, but not those that happen to be next to nothing. [root mean square]
 NEXT_TO_NOTHING = 1e-3
 
@@ -131,7 +131,7 @@ def shortest_product(products: Products, theta: FloatArray, value: float, amount
     # A parameter may be zero there.
     with np.errstate(all="ignore"):
         shares = value / (amount * values_of(powers, theta[None])[0])
-    found = np.flatnonzero((np.abs(shares) - 1.0) ** 2 < EXACT)
+    found = np.flatnonzero((np.abs(shares) - 1.0) ** 2 < EXACT_PRODUCTS)
     if not found.size:
         return None
     return ProductSum(amount * np.sign(shares[found[:1]]), powers[found[:1]])
@@ -153,13 +153,13 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     if len(values) < 1 + SPARE_ROWS:
         return None
     # A part of the rows proposes products, all rows judge them.
-    some = spread(len(values), MOST_ROWS)
+    some = spread(len(values), MOST_PROPOSING)
     table = values_of(products.powers, theta[some])
     # A column of zeros explains nothing.
     table = np.where(np.isfinite(table).all(axis=0), table, 0.0)
     # One product goes first: in a sum, a second one would only absorb its error (the same note).
     left, formula = _judged(products.powers[[_single(table, values[some])]], theta, values)
-    if left < EXACT:
+    if left < EXACT_PRODUCTS:
         return formula
     # Resistances in series make a coefficient one over a sum, such as 1 / (R + S).
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
@@ -177,11 +177,11 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
             beginnings[kind] = _best_sums(explained, beginnings.get(kind))
             judged += [
                 _judged(products.powers[chosen], theta, goal, is_reciprocal=bool(kind))
-                for chosen in beginnings[kind][:N_BEST]
+                for chosen in beginnings[kind][:N_BEST_SUMS]
             ]
         if not judged:
             break
-        exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
+        exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT_PRODUCTS
         left, formula = min(judged, key=lambda one: one[0])
         if left < (exact if n_summed == 2 else EXACT_OF_LONG):
             return formula

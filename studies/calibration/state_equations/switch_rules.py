@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.state_equations.flow import MOST_PARTS, SteppedFlow
+from studies.calibration.state_equations.hidden_inputs import AT_REST
 from studies.calibration.state_equations.states import StateSignals
 from studies.calibration.state_equations.terms import Sum
 
@@ -22,9 +23,7 @@ from studies.calibration.state_equations.terms import Sum
 MEETS = 1e-4
 # By how much of its deviation over time a threshold may differ between the changes
 # of a row, and a waiting time relative to itself.
-SAME_VALUE, SAME_TIME = 1e-4, 1e-5
-# Deviation of a state that hardly moves, as a share of its size.
-AT_REST = 1e-9
+SAME_VALUE, SAME_WAIT = 1e-4, 1e-5
 # So many changes of a row are looked at.
 MOST_CHANGES = 40
 
@@ -206,7 +205,7 @@ def _judged(
     for n, (shown, row) in enumerate(zip(there, changes, strict=True)):
         waited = np.array([one.waited_s for one in row])
         least = np.nanmin(waited, initial=np.inf)
-        is_bound = waited <= least * (1.0 + SAME_TIME) if waits else np.zeros(len(row), dtype=np.bool_)
+        is_bound = waited <= least * (1.0 + SAME_WAIT) if waits else np.zeros(len(row), dtype=np.bool_)
         free = shown[~is_bound]
         is_tested |= free.size > 1
         if free.size:

@@ -32,7 +32,7 @@ MOST_AT_ONCE = 200
 # Half of a number's 16 digits, less those that sixteen differences cost.
 CANCELLED = 1e-6
 # What is left of a column of size 1 beside others, at least.
-ROUNDING = 1e-13
+LEAST_PIVOT = 1e-13
 
 
 @np.errstate(all="ignore")
@@ -242,7 +242,7 @@ def _more_without(columns: FloatArray, goals: FloatArray, size: FloatArray) -> t
     diagonal = np.arange(columns.shape[2])
     pivots = triangle[:, diagonal, diagonal]
     # A column that others make up has a pivot of rounding, or of zero; the inverse has to exist.
-    triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < ROUNDING, ROUNDING, pivots)
+    triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < LEAST_PIVOT, LEAST_PIVOT, pivots)
     inverse = np.linalg.inv(triangle)
     along = np.einsum("nij,ni->nj", axes, goals)
     found = np.einsum("nij,nj->ni", inverse, along)

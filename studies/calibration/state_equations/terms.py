@@ -17,7 +17,7 @@ from simulation.arrays import FloatArray, IntArray
 from studies.calibration.state_equations.states import StateSignals
 
 # Terms are chosen by so many rows, at so many times.
-N_ROWS, N_TIMES = 8, 400
+N_CHOICE_ROWS, N_CHOICE_TIMES = 8, 400
 DIMENSIONLESS, TEMPERATURE, ANGLE = ("", "1"), "K", ("", "1", "rad")
 # Products beyond are not looked at.
 # Among hundreds of terms some fit nearly any signal that
