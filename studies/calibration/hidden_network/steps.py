@@ -13,11 +13,6 @@ N_TERMS = 13
 
 
 @compiled
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a @ b)
-
-
-@compiled
 def _exponential(
     a: FloatArray, step: float, with_slopes: bool, answer: FloatArray, slopes: FloatArray
 ) -> None:
@@ -51,24 +46,24 @@ def _exponential(
     slope = np.zeros((s * s, n, n))
     for order in range(1, N_TERMS + 1):
         for d in range(n_slopes):
-            moved = _product(slope[d], matrix)
+            moved = slope[d] @ matrix
             for i in range(n):
                 moved[i, d % s] += term[i, d // s] * (step * scale)
                 for j in range(n):
                     slope[d, i, j] = moved[i, j] / order
                     slopes[d, i, j] += slope[d, i, j]
-        term = _product(term, matrix)
+        term = term @ matrix
         for i in range(n):
             for j in range(n):
                 term[i, j] /= order
                 total[i, j] += term[i, j]
     for _ in range(n_squares):
         for d in range(n_slopes):
-            left, right = _product(slopes[d], total), _product(total, slopes[d])
+            left, right = slopes[d] @ total, total @ slopes[d]
             for i in range(n):
                 for j in range(n):
                     slopes[d, i, j] = left[i, j] + right[i, j]
-        total = _product(total, total)
+        total = total @ total
     for i in range(n):
         for j in range(n):
             answer[i, j] = total[i, j]

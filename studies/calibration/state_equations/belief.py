@@ -62,5 +62,4 @@ def mismatch(solved: FloatArray, simulated: FloatArray, sensor: float) -> float:
 @np.errstate(all="ignore")
 def squared_differences(solved: FloatArray, simulated: FloatArray) -> FloatArray:
     """Return the mean squared differences of residuals (n, m). Shape (n,). [first output's unit squared]."""
-    differences: FloatArray = np.mean((solved - simulated) ** 2, axis=1)
-    return differences
+    return np.asarray(np.mean((solved - simulated) ** 2, axis=1))

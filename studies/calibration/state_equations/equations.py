@@ -118,7 +118,7 @@ class Structure:
         n_states = len(signals.states)
         hidden = sorted(place for place in self.used() if place >= n_states + signals.n_declared)
         kept = [*range(n_states + signals.n_declared), *hidden]
-        place_of = {-1: -1} | {place: rank for rank, place in enumerate(kept)}
+        place_of = {place: rank for rank, place in enumerate((-1, *kept), -1)}
 
         def moved(term: Term) -> Term:
             factors = tuple(place_of[place] for place in term.factors)

@@ -109,41 +109,40 @@ class SingleExperiments:
     n_shown: list[int]
 
     def learn(self, u: FloatArray) -> int:
-        """Learn from points (n, p) of the first design; return how many simulations that took."""
-        n_before = sum(self.n_shown)
+        """Learn from points (n, p) of the first design; return how many simulations there were."""
         driven = [part.signals.driven for part in self.model.parts]
-        n_moving = [int((one != one[0]).any(axis=0).sum()) for one in driven]
+        n_moving = [int((signal != signal[0]).any(axis=0).sum()) for signal in driven]
         # What rests in an experiment shows nothing there; of the others the shortest costs least.
-        order = sorted(range(len(driven)), key=lambda place: (-n_moving[place], len(driven[place])))
+        order = sorted(range(len(driven)), key=lambda index: (-n_moving[index], len(driven[index])))
         known = list[int]()
-        for place in order:
-            is_led = any(self._follows(place, leader, u) for leader in known)
-            if not is_led and not self._learn_in(place, u):
+        for index in order:
+            is_led = any(self._follows(index, leader, u) for leader in known)
+            if not is_led and not self._learn_in(index, u):
                 break
-            known.append(place)
-        return sum(self.n_shown) - n_before
+            known.append(index)
+        return sum(self.n_shown)
 
-    def _learn_in(self, place: int, u: FloatArray) -> bool:
+    def _learn_in(self, index: int, u: FloatArray) -> bool:
         """Simulate one experiment alone, as far as its equations need it; return whether they are sure."""
-        learner = self.learners[place]
+        learner = self.learners[index]
         most = min(enough_for_equations(learner.problem.space.n_parameters), len(u))
         for n in range(LEAST_TO_LEARN, most + 1):
-            learner.note(self._simulated_in(place, u[:n]), is_proposed=False)
+            learner.note(self._simulated_in(index, u[:n]), is_proposed=False)
             if learner.is_sure:
                 return True
         return False
 
-    def _simulated_in(self, place: int, u: FloatArray) -> Evaluation:
+    def _simulated_in(self, index: int, u: FloatArray) -> Evaluation:
         """Simulate points of the first design in one experiment alone, those that it has not simulated."""
-        points = u[self.n_shown[place] :]
-        self.n_shown[place] = len(u)
-        answer = self.model.simulate_alone(self.model.parameter_space.from_unit(points), place)
-        learner = self.learners[place]
+        points = u[self.n_shown[index] :]
+        self.n_shown[index] = len(u)
+        answer = self.model.simulate_alone(self.model.parameter_space.from_unit(points), index)
+        learner = self.learners[index]
         return learner.problem.judge(points[:, learner.parameters], answer)
 
-    def _follows(self, place: int, leader: int, u: FloatArray) -> bool:
+    def _follows(self, index: int, leader: int, u: FloatArray) -> bool:
         """Let an experiment follow another one's equations, where these or one row say what they are here."""
-        mine, its, learner = self.cases[leader], self.cases[place], self.learners[place]
+        mine, its, learner = self.cases[leader], self.cases[index], self.learners[index]
         equations, misfit = self.learners[leader].equations, self.learners[leader].known.misfit
         if equations is None or not mine.differs_in_values(its):
             return False
@@ -151,7 +150,7 @@ class SingleExperiments:
         if any(isinstance(value, str | bool) for pair in pairs for value in pair):
             return False
         changed = [(float(here), float(there)) for here, there in pairs]
-        follower = equations.in_experiment(self.model.parts[place].signals, changed)
+        follower = equations.in_experiment(self.model.parts[index].signals, changed)
         # Of two values that change something, one row does not say which does what.
         if follower is None or len(follower[1]) > 1:
             return False
@@ -159,10 +158,10 @@ class SingleExperiments:
         if not unknown:
             learner.follow(taken_over, misfit)
             return True
-        if self.n_shown[place]:
+        if self.n_shown[index]:
             return False
         here, there = unknown[0]
-        answer = self._simulated_in(place, u[:1])
+        answer = self._simulated_in(index, u[:1])
         rows, points = learner.seen(answer.theta), Points.of(learner.problem.space, answer.u)
         if rows.are_known.all():
             shown = taken_over.with_effect(points, rows, there - here, learner.known.products)

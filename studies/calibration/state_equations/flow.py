@@ -212,8 +212,8 @@ class SteppedFlow:
         # Only who needs it waits for numba.
         from studies.calibration.state_equations.flow_steps import steps
 
-        start, driven = np.ascontiguousarray(start), np.ascontiguousarray(driven)
-        return steps(start, coefficients, driven, *self._terms, step_s, self.n_parts, every, self.rules)
+        arrays = np.ascontiguousarray(start), coefficients, np.ascontiguousarray(driven), *self._terms
+        return steps(*arrays, step_s, self.n_parts, every, self.rules)
 
     @property
     def unsolved(self) -> str:

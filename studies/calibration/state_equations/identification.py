@@ -134,19 +134,19 @@ class Identification:
         states = rows.states(self.signals)
         # A row's fit does not change with others.
         self._fits += self._structure.fits(self.signals, states.take(slice(len(self._fits), None)))
-        found, self.misfit = self._structure.coefficients(self._fits)
+        coefficients, self.misfit = self._structure.coefficients(self._fits)
         # Written so that NaN counts as a misfit, too.
         if not self.misfit <= self._structure.most_left:
             self._structure = None
             return DIFFERENT
         points = Points.of(self._space, rows.u)
-        columns = [column for table in (*found, states.x[:, 0]) for column in table.T]
+        columns = [column for table in (*coefficients, states.x[:, 0]) for column in table.T]
         # What was no formula with a row less is looked at first, as it mostly is none again.
         if self._doubted is not None and self._is_open(points, columns[self._doubted]):
             return NO_FORMULAS
         # One more row may show what a coefficient is, or a switch does: the structure stays.
         equations = StateEquations.learn(
-            self.signals, self._structure, points, states.x, found, self.products
+            self.signals, self._structure, points, states.x, coefficients, self.products
         )
         is_open = (place for place, column in enumerate(columns) if self._is_open(points, column))
         self._doubted = next(is_open) if equations == NO_FORMULAS else None

@@ -71,13 +71,12 @@ class LearnedODE:
             experiments: The equations of each of the problem's experiments.
             problem: The problem.
             alone: Learns from single experiments at points (n, p) of the first design, and returns how many
-                simulations these took.
+                simulations of single ones there were.
         """
         self.experiments, self._problem, self._alone = experiments, problem, alone
         self._descents = Descents(problem.prior, problem.space.n_parameters, N_WALKS)
         self._u = np.empty((0, problem.space.n_parameters))
         self._answers = GrowingRows(problem.measurement.n_samples)
-        self._think_of: Callable[[str], None] = lambda subject: None
         self.predicted: float | None = None
         self.n_asked = self.n_alone = 0
         self.is_given_up = False
@@ -99,25 +98,25 @@ class LearnedODE:
     @property
     def is_believed(self) -> bool:
         """Whether all equations do what the rows do, and have not led to failures."""
-        return all(one.is_believed for one in self.experiments)
+        return all(experiment.is_believed for experiment in self.experiments)
 
     @property
     def is_sure(self) -> bool:
         """Whether all equations match what was simulated: more rows would add nothing."""
-        return all(one.is_sure for one in self.experiments)
+        return all(experiment.is_sure for experiment in self.experiments)
 
     @property
     def is_learnt(self) -> bool:
         """Whether all experiments have equations, believed or not."""
-        return all(one.equations is not None for one in self.experiments)
+        return all(experiment.equations is not None for experiment in self.experiments)
 
     @property
     def model(self) -> EquationModel | EquationExperiments | None:
         """A model that answers by the equations, None where they are not known exactly."""
         models = [
-            EquationModel(one.equations, one.problem.space, one.problem.model.time)
-            for one in self.experiments
-            if one.equations is not None and one.is_sure
+            EquationModel(experiment.equations, experiment.problem.space, experiment.problem.model.time)
+            for experiment in self.experiments
+            if experiment.equations is not None and experiment.is_sure
         ]
         if len(models) < len(self.experiments):
             return None
@@ -132,19 +131,23 @@ class LearnedODE:
     @property
     def hidden_inputs(self) -> tuple[str, ...]:
         """Names of the variables of the FMU that the equations take as inputs beside the declared ones."""
-        used = [one.equations.signals for one in self.experiments if one.equations is not None]
-        return tuple(dict.fromkeys(name for one in used for name in one.inputs[one.n_declared :]))
+        used = [
+            experiment.equations.signals
+            for experiment in self.experiments
+            if experiment.equations is not None
+        ]
+        return tuple(dict.fromkeys(name for signals in used for name in signals.inputs[signals.n_declared :]))
 
     @property
     def misfit(self) -> float:
         """Greatest share of squares that the terms of a derivative or an output leave. [1]."""
-        return max(one.known.misfit for one in self.experiments)
+        return max(experiment.known.misfit for experiment in self.experiments)
 
     @property
     def why_not(self) -> str:
         """Why there are no equations, in words."""
-        lacking = (one for one in self.experiments if one.equations is None)
-        named = (f"experiment {one.name}: {one.known.why_not}" for one in lacking)
+        lacking = (experiment for experiment in self.experiments if experiment.equations is None)
+        named = (f"experiment {experiment.name}: {experiment.known.why_not}" for experiment in lacking)
         return self.experiments[0].known.why_not if self._problem.layout is None else next(named, "")
 
     @property
@@ -168,8 +171,8 @@ class LearnedODE:
     def left_out(self) -> BoolArray:
         """Which parameters are in no equation: what they do, as where a weir begins, no row has shown."""
         is_out = np.full(self._problem.space.n_parameters, self.is_learnt)
-        for one in self.experiments:
-            is_out[one.parameters] &= one.left_out
+        for experiment in self.experiments:
+            is_out[experiment.parameters] &= experiment.left_out
         return is_out
 
     def unseen(self, u: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
@@ -187,8 +190,8 @@ class LearnedODE:
             Shape (n, p). [1]
         """
         points = np.tile(u, (n, len(self.experiments), 1))
-        for place, one in enumerate(self.experiments):
-            points[:, place, one.parameters] = one.unseen(u[one.parameters], n, rng)
+        for place, experiment in enumerate(self.experiments):
+            points[:, place, experiment.parameters] = experiment.unseen(u[experiment.parameters], n, rng)
         # The first of each experiment, then the second ones.
         return points.reshape(-1, len(u))[:n]
 
@@ -202,9 +205,8 @@ class LearnedODE:
 
     def report_to(self, think_of: Callable[[str], None]) -> None:
         """Call this from now on with what is looked at, as that may take seconds."""
-        self._think_of = think_of
-        for one in self.experiments:
-            one.known.think_of = think_of
+        for experiment in self.experiments:
+            experiment.known.think_of = think_of
 
     def learn_alone(self, u: FloatArray) -> int:
         """Learn from rows that cost less than a whole one, as those of single experiments do.
@@ -215,7 +217,7 @@ class LearnedODE:
         Returns:
             How many whole rows they are worth, rounded up.
         """
-        self.n_alone += self._alone(u)
+        self.n_alone = self._alone(u)
         return math.ceil(self.n_alone / len(self.experiments))
 
     def note(self, answer: Evaluation) -> None:
@@ -231,8 +233,8 @@ class LearnedODE:
             self.experiments[0].note(answer, is_proposed=is_proposed)
             is_kept = self.experiments[0].rows.hold(answer.u)
         else:
-            for one in self.experiments:
-                one.note_part(answer, is_proposed=is_proposed)
+            for experiment in self.experiments:
+                experiment.note_part(answer, is_proposed=is_proposed)
             is_kept = np.isfinite(answer.mse)
         self._u = np.concatenate([self._u, answer.u[is_kept]])
         self._answers.add(answer.residuals[is_kept])
@@ -247,8 +249,9 @@ class LearnedODE:
             known: Their points. Shape (n, p). [1]
             rng: Source of the points that are looked at.
         """
-        self._think_of("optimum by the state equations")
-        looks, p = rng.random((N_LOOKS, known.shape[1])), known.shape[1]
+        self.experiments[0].known.think_of("optimum by the state equations")
+        p = known.shape[1]
+        looks = rng.random((N_LOOKS, p))
         # Not studied: switches in several experiments.
         if self._problem.layout is None and self.experiments[0].known.signals.n_switches:
             looks = np.concatenate([ends_of_parts(self._problem, self._residuals, rng), looks])
@@ -271,9 +274,9 @@ class LearnedODE:
         """Return the residuals (n, m), those after the first outputs as if the rest were zero."""
         measurement = self._problem.measurement
         y = np.zeros((len(u), len(measurement.time), len(measurement.output_names)))
-        for one in self.experiments:
-            outputs = one.solved(u[:, one.parameters], n_outputs)
-            y[:, : outputs.shape[1], one.outputs] = outputs
+        for experiment in self.experiments:
+            outputs = experiment.solved(u[:, experiment.parameters], n_outputs)
+            y[:, : outputs.shape[1], experiment.outputs] = outputs
         return measurement.compared(y)
 
 

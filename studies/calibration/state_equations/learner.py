@@ -136,11 +136,10 @@ class EquationLearner:
         whole = good & rows.are_known
         if not whole.any():
             return
-        u, residuals = answer.u[whole], answer.residuals[whole]
-        is_missed = was_confirmed and self._mismatch(u, residuals) > MATCHED
-        self.rows.add(u, rows.take(whole), residuals)
+        self.rows.add(answer.u[whole], rows.take(whole), answer.residuals[whole])
+        is_missed = was_confirmed and self._mismatch(int(whole.sum())) > MATCHED
         if self._is_given:
-            self._belief.mismatch = self._mismatch(self.rows.u, self.rows.residuals)
+            self._belief.mismatch = self._mismatch(len(self.rows.u))
             # Written so that NaN counts as a mismatch, too.
             self._is_given = self._belief.mismatch <= MATCHED
             if self._is_given:
@@ -149,7 +148,7 @@ class EquationLearner:
         if is_missed and self.equations is None:
             # Formulas that held and hold no more: this row belongs to another regime.
             self.known.why_not, self._is_refuted = DIFFERENT, True
-        self._belief.mismatch = self._mismatch(self.rows.u[-N_COMPARED:], self.rows.residuals[-N_COMPARED:])
+        self._belief.mismatch = self._mismatch(N_COMPARED)
 
     def note_part(self, answer: Evaluation, *, is_proposed: bool) -> None:
         """Learn from rows of all experiments, as far as this one is new in them, see `note`."""
@@ -165,14 +164,14 @@ class EquationLearner:
         failures = tuple(answer.failures[row] for row in rows)
         self.note(Evaluation(u, theta, y, residuals, mse, mse, failures), is_proposed=is_proposed)
 
-    def _mismatch(self, u: FloatArray, residuals: FloatArray) -> float:
-        """Return how equations, solved at points (n, p), differ from simulated residuals (n, m). [1]."""
+    def _mismatch(self, n: int) -> float:
+        """Return how equations, solved, differ from the last n rows at the most. [1]."""
         if self.equations is None:
             return 0.0
         measurement = self.problem.measurement
         with np.errstate(all="ignore"):
-            solved = measurement.compared(self.solved(u))
-        return mismatch(solved, residuals, float(measurement.uncertainty[0]))
+            solved = measurement.compared(self.solved(self.rows.u[-n:]))
+        return mismatch(solved, self.rows.residuals[-n:], float(measurement.uncertainty[0]))
 
     def solved(self, u: FloatArray, n_outputs: int | None = None) -> FloatArray:
         """Solve the equations.

@@ -212,8 +212,7 @@ def _judged(
 
 def _weight(values: FloatArray) -> FloatArray:
     # Errors count relative to each row, as coefficients vary a hundredfold over a box (the same note).
-    weight: FloatArray = 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
-    return weight
+    return np.asarray(1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2)))
 
 
 def _single(table: FloatArray, values: FloatArray) -> int:

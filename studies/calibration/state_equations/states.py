@@ -161,8 +161,7 @@ class StateRows(NamedTuple):
     @property
     def are_known(self) -> BoolArray:
         """In which rows states, derivatives and outputs are. Shape (n,)."""
-        known: BoolArray = np.all([np.isfinite(part).all(axis=(1, 2)) for part in self[:3]], axis=0)
-        return known
+        return np.asarray(np.all([np.isfinite(part).all(axis=(1, 2)) for part in self[:3]], axis=0))
 
     def take(self, rows: slice | BoolArray) -> Self:
         """Return some of the rows."""

@@ -63,9 +63,7 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     # One by one, x y and y were missed among 64 terms and six others taken; as a pair
     # they are found (docs/notes/state-equations.md, Functions and compiled steps).
     if left > NEARLY_COMPLETE and len(terms) > 2 and (pair := _best_pair(values, target)):
-        again, left_again = _added(values, target, pair)
-        if left_again < left:
-            chosen, left = again, left_again
+        chosen, left = min((chosen, left), _added(values, target, pair), key=lambda one: one[1])
     # Of a room with ten terms, sixteen that were added one by one left 8e-5 of the
     # squares; this leaves 1e-28 (docs/notes/state-equations.md, Weather inside the FMU).
     if left > NEARLY_COMPLETE and MOST_TERMS < len(terms) <= min(MOST_AT_ONCE, target.shape[1] // 2):
