@@ -1,7 +1,7 @@
 """A network of capacities and conductances that no output shows, as a function of the parameters.
 
 Every capacity, conductance and gain is a constant times powers of the parameters. States at the start are
-sums of parameters in the outputs' unit. The powers and constants are unknown: `network_fit` finds them.
+sums of parameters in the outputs' unit. The powers and constants are unknown: fit.py finds them.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class NetworkForm:
 
     Attributes:
         inputs: What drives the network.
-        places: Of every coupling, as `network_steps.steps` takes them. Shape (e, 4).
+        places: Of every coupling, as `steps.steps` takes them. Shape (e, 4).
         makes: Which of the q elements make a coupling: conductance or gain 1, capacity -1. Shape (e, q).
         n_outputs: Outputs, the first states.
         is_free: Which powers and factors there are, of the q elements and s starts. Shape (q + s, 1 + p).

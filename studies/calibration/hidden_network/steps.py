@@ -70,27 +70,6 @@ def _exponential(
 
 
 @compiled
-def _move(by: FloatArray, x: FloatArray, flow: FloatArray, into: FloatArray) -> None:
-    """Write how states and flows into them move states over a step, by a matrix (s, 2s), into an array."""
-    s = x.size
-    for a in range(s):
-        total = 0.0
-        for b in range(s):
-            total += by[a, b] * x[b] + by[a, s + b] * flow[b]
-        into[a] = total
-
-
-@compiled
-def _report(x: FloatArray, by_coupling: FloatArray, y: FloatArray, slopes: FloatArray) -> None:
-    """Write the first states into outputs (k,) and their slopes into others, (k, e + s) or (0, 0)."""
-    for k in range(y.size):
-        y[k] = x[k]
-    for k in range(slopes.shape[0]):
-        for e in range(slopes.shape[1]):
-            slopes[k, e] = by_coupling[e, k]
-
-
-@compiled
 def steps(
     start: FloatArray,
     couplings: FloatArray,
@@ -151,7 +130,11 @@ def steps(
             x[a] = start[point, a]
             for e in range(n_slopes):
                 by_coupling[e, a] = 1.0 if e == n_couplings + a else 0.0
-        _report(x, by_coupling, y[point, 0], slopes[point, 0])
+        for k in range(n_outputs):
+            y[point, 0, k] = x[k]
+            if with_slopes:
+                for e in range(n_slopes):
+                    slopes[point, 0, k, e] = by_coupling[e, k]
         for m in range(pattern.size):
             p = pattern[m]
             for a in range(s):
@@ -161,7 +144,11 @@ def steps(
                 flow[a] = total
             if with_slopes:
                 for d in range(s * s):
-                    _move(tangents[p, d], x, flow, by_rate[d])
+                    for a in range(s):
+                        total = 0.0
+                        for b in range(s):
+                            total += tangents[p, d, a, b] * x[b] + tangents[p, d, a, s + b] * flow[b]
+                        by_rate[d, a] = total
                 for e in range(n_slopes):
                     for a in range(s):
                         total = 0.0
@@ -175,8 +162,17 @@ def steps(
                             moved[a] += gained - by_rate[i * s + i, a] if kind < 2 else gained
                     for a in range(s):
                         by_coupling[e, a] = moved[a]
-            _move(exact[p], x, flow, moved)
-            x, moved = moved, x
+            for a in range(s):
+                total = 0.0
+                for b in range(s):
+                    total += exact[p, a, b] * x[b] + exact[p, a, s + b] * flow[b]
+                moved[a] = total
+            for a in range(s):
+                x[a] = moved[a]
             if (m + 1) % every == 0:
-                _report(x, by_coupling, y[point, (m + 1) // every], slopes[point, (m + 1) // every])
+                for k in range(n_outputs):
+                    y[point, (m + 1) // every, k] = x[k]
+                    if with_slopes:
+                        for e in range(n_slopes):
+                            slopes[point, (m + 1) // every, k, e] = by_coupling[e, k]
     return y, slopes

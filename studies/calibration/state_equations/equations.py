@@ -2,7 +2,7 @@
 
     dx_j/dt = sum_k a_jk(theta) f_jk(x, u),    y = sum_k c_k(theta) g_k(x, u).
 
-The terms f and g are states and inputs, their differences, products and functions (state_terms.py). Which of
+The terms f and g are states and inputs, their differences, products and functions (terms.py). Which of
 them they are is found in what the states did (term_choice.py), and each one's coefficient is learnt over the
 parameters (coefficient.py). Trajectories are curved in many ways where coefficients are not: from ten rows
 of an office with 14 parameters its trajectories are known about as well as from a thousand by a surrogate

@@ -12,7 +12,7 @@ SAME_MOMENT = 1e-9
 # Below a norm of 1/2 the next term of the series is less than rounding.
 N_TERMS = 13
 SOLVED = ("root", "square", "natural convection", "magnitude", "sine", "cosine")
-"""Functions of `state_terms.FUNCTIONS` that steps take, by the number of each from 1 on."""
+"""Functions of `terms.FUNCTIONS` that steps take, by the number of each from 1 on."""
 # Up to so many states a call of BLAS takes longer than the product itself (4.3 instead of 2.3 us with four).
 SMALL = 8
 
@@ -90,7 +90,6 @@ def _slope(
 @compiled
 def _advance(
     x: FloatArray,
-    before: FloatArray,
     h: float,
     columns: FloatArray,
     coefficients: FloatArray,
@@ -99,20 +98,20 @@ def _advance(
     slope: FloatArray,
     total: FloatArray,
 ) -> None:
-    """Write states after one classical Runge-Kutta step of length h from those before; see `steps`."""
+    """Move the states on by one classical Runge-Kutta step of length h; see `steps`."""
     n_states = x.size
-    _put(columns, before)
+    _put(columns, x)
     _slope(columns, coefficients, ends, places, slope)
     _put(total, slope)
     # Four slopes, at the start, twice at half a step and at its end, count 1, 2, 2, 1 sixths.
     for weight, reach in ((2.0, 0.5), (2.0, 0.5), (1.0, 1.0)):
         for state in range(n_states):
-            columns[state] = before[state] + reach * h * slope[state]
+            columns[state] = x[state] + reach * h * slope[state]
         _slope(columns, coefficients, ends, places, slope)
         for state in range(n_states):
             total[state] += weight * slope[state]
     for state in range(n_states):
-        x[state] = before[state] + h / 6.0 * total[state]
+        x[state] += h / 6.0 * total[state]
     _put(columns, x)
 
 
@@ -194,7 +193,7 @@ def steps(
                 columns[n_states + one] = driven[step, one]
             for _ in range(n_parts):
                 if rules.shape[0] == 0:
-                    _advance(x, x, h, columns, terms, ends, places, slope, total)
+                    _advance(x, h, columns, terms, ends, places, slope, total)
                     continue
                 left, n_changes = h, 0
                 _put(columns, x)
@@ -210,7 +209,7 @@ def steps(
                         continue
                     _put(before, x)
                     _put(since_then, since)
-                    _advance(x, before, left, columns, terms, ends, places, slope, total)
+                    _advance(x, left, columns, terms, ends, places, slope, total)
                     _sum(since, since_then, left)
                     _, beyond_then = _nearest_change(columns, since, rules, limits)
                     if not beyond_then > 0.0:
@@ -224,7 +223,8 @@ def steps(
                         guess = high - (high - low) * at_high / (at_high - at_low)
                         # A guess at an end of the bracket would leave the bracket as it is.
                         guess = min(max(guess, low + 0.5 * SAME_MOMENT * h), high - 0.5 * SAME_MOMENT * h)
-                        _advance(x, before, guess, columns, terms, ends, places, slope, total)
+                        _put(x, before)
+                        _advance(x, guess, columns, terms, ends, places, slope, total)
                         _sum(since, since_then, guess)
                         _, at_guess = _nearest_change(columns, since, rules, limits)
                         if at_guess > 0.0:
@@ -235,7 +235,8 @@ def steps(
                             low, at_low = guess, at_guess
                             at_high *= 0.5 if side == -1 else 1.0
                             side = -1
-                    _advance(x, before, high, columns, terms, ends, places, slope, total)
+                    _put(x, before)
+                    _advance(x, high, columns, terms, ends, places, slope, total)
                     _sum(since, since_then, high)
                     left -= high
             if (step + 1) % every == 0:

@@ -1,7 +1,7 @@
 """Inputs that an FMU hides: variables that follow time and not the parameters, as weather inside the model.
 
 They are known at the outputs alone. What they do in between is smooth but where they jump, and a jump lies
-anywhere between two outputs; solved equations show where (learned_ode.py).
+anywhere between two outputs; solved equations show where (identification.py).
 """
 
 from collections.abc import Mapping
