@@ -13,6 +13,9 @@ N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
 # Relative gain that ends a walk.
 FTOL = 1e-5
+# Best rows and last ends that walks begin at, beside the best of random points: nothing else looks for
+# valleys. By hand.
+N_BEST_ROWS, N_LAST_ENDS = 2, 2
 
 Residuals = Callable[[FloatArray], FloatArray]
 """Points (n, p) to residuals (n, m), not finite where nothing is known."""
@@ -103,6 +106,44 @@ def descend_together(
         damping[higher] *= HARDER
         is_open[higher] = damping[higher] < HOPELESS
     return u, values
+
+
+class Descents:
+    """Walks downhill all over the unit cube, again and again while rows change the residuals."""
+
+    def __init__(self, prior: Prior | None, n_parameters: int, n_random: int) -> None:
+        """Begin without a walk.
+
+        Args:
+            prior: Of the parameters, None where nothing is known.
+            n_parameters: Parameters p.
+            n_random: How many of the points that are looked at are walked downhill.
+        """
+        self._prior, self._n_random = prior, n_random
+        self._ends = np.empty((0, n_parameters))
+
+    def lowest(
+        self, residuals: Residuals, looks: FloatArray, rows: FloatArray, walked: Residuals | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Walk downhill from the best rows, where the last walks ended, and from the best looks.
+
+        Args:
+            residuals: The function.
+            looks: Points that are compared. Shape (k, p). [1]
+            rows: Rows so far, the best first. Shape (n, p). [1]
+            walked: What is walked on in its place, None for the function itself.
+
+        Returns:
+            Where the walks end, the lowest first, shape (w, p), and the objectives there, shape (w,). [unit
+            squared]
+        """
+        best = np.argsort(objectives(self._prior, looks, residuals(looks)), kind="stable")[: self._n_random]
+        starts = np.concatenate([rows[:N_BEST_ROWS], self._ends, looks[best]])
+        ends, values = descend_together(walked or residuals, self._prior, starts)
+        order = np.argsort(values, kind="stable")
+        # One more row moves the optimum little: the next walks begin where these have ended.
+        self._ends = ends[order[:N_LAST_ENDS]]
+        return ends[order], values[order]
 
 
 # A step that overflows leads nowhere.

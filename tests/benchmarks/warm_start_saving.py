@@ -30,6 +30,7 @@ from studies.calibration.problem import CalibrationProblem, Evaluation  # noqa: 
 from studies.calibration.search.adaptive import Adaptive, AdaptiveResult  # noqa: E402
 from studies.calibration.search.row_choice import best_and_far  # noqa: E402
 from studies.calibration.state_equations.learned_ode import LearnedODE  # noqa: E402
+from studies.calibration.state_equations.learner import EquationLearner  # noqa: E402
 from studies.calibration.state_equations.states import StateRows, WatchedModel  # noqa: E402
 
 PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
@@ -77,7 +78,7 @@ def calibrated(
         is_hidden = not are_seen and known is not None and theta is known.theta
         return StateRows(*(np.full_like(part, np.nan) for part in rows)) if is_hidden else rows
 
-    equations = LearnedODE(watched.signals, seen, problem)
+    equations = LearnedODE([EquationLearner(watched.signals, seen, problem)], problem)
     return settings_for(problem).minimize(problem, seed=seed, known=known, learned_ode=equations)
 
 

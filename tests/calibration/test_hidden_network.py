@@ -109,16 +109,14 @@ def room_problem() -> CalibrationProblem:
 def test_steps_are_exact_and_slopes_are_those_of_differences() -> None:
     rng = np.random.default_rng(1)
     places = np.array(
-        [[0, 0, 1, -1], [0, 1, 0, -1], [1, 0, 0, -1], [1, 1, 0, 0], [2, 1, 0, -1]], dtype=np.int64
+        [[0, 0, 1, -1], [0, 1, 0, -1], [1, 0, 0, -1], [1, 1, 0, 0], [2, 1, 1, -1]], dtype=np.int64
     )
     rates, start = np.exp(rng.normal(-1.0, 0.5, (2, 5))), rng.normal(0.0, 1.0, (2, 2))
-    potentials, sources = rng.normal(0.0, 3.0, (9, 1)), rng.normal(0.0, 1.0, (9, 1))
+    inputs = np.hstack([rng.normal(0.0, 3.0, (9, 1)), rng.normal(0.0, 1.0, (9, 1))])
     pattern, patterns = np.arange(9) % 2, np.array([[0.0], [1.0]])
 
     def solved(rates: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return steps(
-            start, rates, places, potentials, sources, pattern, patterns, 0.7, 3, 1, True
-        )  # fmt: skip
+        return steps(start, rates, places, inputs, pattern, patterns, 0.7, 3, 1, True)
 
     y, slopes = solved(rates, start)
     for row, (to, back, first, second, gain) in enumerate(rates):
@@ -128,7 +126,7 @@ def test_steps_are_exact_and_slopes_are_those_of_differences() -> None:
             matrix = np.zeros((4, 4))
             matrix[0] = [-to - first, to, first, 0.0]
             matrix[1] = [back, -back - on * second, on * second, gain]
-            x = expm(matrix * 0.7)[:2] @ np.array([*x, potentials[k, 0], sources[k, 0]])
+            x = expm(matrix * 0.7)[:2] @ np.array([*x, *inputs[k]])
             if k % 3 == 2:
                 assert y[row, k // 3 + 1, 0] == pytest.approx(x[0], rel=1e-12)
     # Central differences err by their square and by rounding over their size.

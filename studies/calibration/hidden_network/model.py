@@ -1,7 +1,7 @@
 """A network of capacities and conductances that no output shows, as a function of the parameters.
 
 Every capacity, conductance and gain is a constant times powers of the parameters. States at the start are
-sums of parameters in the outputs' unit. The powers and constants are unknown: `network_fit` finds them.
+sums of parameters in the outputs' unit. The powers and constants are unknown: fit.py finds them.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ CAPACITIES, CONDUCTANCE, COUPLING, SPREAD = (1.0, 3.0, 2.0, 4.0, 0.0), -1.0, -4.
 # Standard deviations of a power, of a state at the start and its factors, and of the sum of powers of time.
 POWER, START, FACTOR, UNITS = 0.5, 10.0, 1.0, 0.05
 # Logarithms beyond which a rate is limited. Rounding.
-MOST = 25.0
+MOST_LOG = 25.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class NetworkForm:
 
     Attributes:
         inputs: What drives the network.
-        places: Of every coupling, as `network_steps.steps` takes them. Shape (e, 4).
+        places: Of every coupling, as `steps.steps` takes them. Shape (e, 4).
         makes: Which of the q elements make a coupling: conductance or gain 1, capacity -1. Shape (e, q).
         n_outputs: Outputs, the first states.
         is_free: Which powers and factors there are, of the q elements and s starts. Shape (q + s, 1 + p).
@@ -85,9 +85,9 @@ class NetworkForm:
             for j in range(inputs.potentials.shape[1]):
                 for switch in range(-1, inputs.patterns.shape[1]):
                     add(COUPLING, -1.0, (1, i, j, switch))
-            for j in range(inputs.sources.shape[1]):
+            for j, powers_of_time in enumerate(inputs.source_powers, inputs.potentials.shape[1]):
                 # A heat flow in W has -3 powers of time: those of an input and its gain together.
-                add(COUPLING, -3.0 - inputs.source_powers[j], (2, i, j, -1))
+                add(COUPLING, -3.0 - powers_of_time, (2, i, j, -1))
         q = len(kinds)
         makes = np.zeros((len(places), q))
         for row, (element, state) in enumerate(pairs):
@@ -171,11 +171,11 @@ class Network:
         form, inputs = self.form, self.form.inputs
         values = features @ self.weights.T
         logarithms, start = values[:, : form.n_elements], values[:, form.n_elements :]
-        rates = np.exp(np.clip(logarithms @ form.makes.T, -MOST, np.log(MOST / inputs.step)))
+        rates = np.exp(np.clip(logarithms @ form.makes.T, -MOST_LOG, np.log(MOST_LOG / inputs.step)))
         potentials = (inputs.potentials - self.level) * self.unit
         y, slopes = steps(
-            np.ascontiguousarray(start), rates, form.places, potentials, inputs.sources, inputs.pattern,
-            inputs.patterns, inputs.step, inputs.every, form.n_outputs, with_slopes,
+            np.ascontiguousarray(start), rates, form.places, np.hstack([potentials, inputs.sources]),
+            inputs.pattern, inputs.patterns, inputs.step, inputs.every, form.n_outputs, with_slopes,
         )  # fmt: skip
         y = y[:, inputs.n_before :]
         if not with_slopes:

@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.box_newton import SAME_POINT
-from studies.calibration.descent import descend_together, objectives
+from studies.calibration.descent import Descents
 from studies.calibration.hidden_network.fit import Fit, first_guess, improved
 from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.model import SCALE, Network, NetworkForm
@@ -19,14 +19,13 @@ from studies.calibration.problem import CalibrationProblem, Evaluation
 FIRST_STEPS, LATER_STEPS = (20, 25), 15
 EXPLAINED = (0.15, 0.03)  # those shares
 # Latest rows that are fitted: the best and the last ones are among them.
-MOST_ROWS = 48
-# Points that are looked at, and how many of the best of them, beside best rows and last ends, are walked
-# downhill.
-N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 16, 2, 2
+MOST_FITTED = 48
+# Points that are looked at, and how many of the best of them are walked downhill. By hand.
+N_NETWORK_LOOKS, N_NETWORK_WALKS = 200, 16
 # A row whose error is so many times the best counts half, in all fits but the first.
-FAR = 30.0
+FAR_TIMES_BEST = 30.0
 # It proposes where it expects to gain this part of the best error.
-LITTLE = 0.003
+LITTLE_GAIN = 0.003
 # After a round without gain a point costs its squared distance to the best row, times this part of the best
 # error; the next such round raises the part by a factor, and a gain lowers it.
 NEAR, NEARER = 0.3, 4.0
@@ -52,13 +51,19 @@ class HiddenNetwork:
         # Draws of its own leave those of the search as they are without a network.
         self._rng = np.random.default_rng([seed, self._form.n_elements])
         p = problem.space.n_parameters
-        self._u = self._ends = np.empty((0, p))
+        self._descents = Descents(problem.prior, p, N_NETWORK_WALKS)
+        self._u = np.empty((0, p))
         self._y = np.empty((0, *np.shape(problem.measurement.time), self._form.n_outputs))
         self._objective = np.empty(0)
         self._fit: Fit | None = None
         self._n_vain = 0
         self._nearness = 0.0
         self._n_proposed = 0
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether it may propose points: not after rounds without gain."""
+        return self._n_vain < N_VAIN
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
@@ -68,7 +73,7 @@ class HiddenNetwork:
         """
         good = np.isfinite(answer.objective)
         best = float(self._objective.min(initial=np.inf))
-        is_gain = bool((answer.objective < (1.0 - LITTLE) * best).any())
+        is_gain = bool((answer.objective < (1.0 - LITTLE_GAIN) * best).any())
         if self._n_proposed:
             self._n_vain = 0 if is_gain else self._n_vain + 1
             nearer = max(NEARER * self._nearness, NEAR)
@@ -83,15 +88,12 @@ class HiddenNetwork:
         Args:
             n: Points.
         """
-        if self._n_vain >= N_VAIN or not self._learn():
+        if not (self.is_believed and self._learn()):
             return None
         p = self._u.shape[1]
-        looks = self._rng.random((N_LOOKS, p))
-        prior = self._problem.prior
-        best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
-        rows = np.argsort(self._objective, kind="stable")[:N_ROWS]
-        starts = np.concatenate([self._u[rows], self._ends, looks[best]])
-        home, best_yet = self._u[rows[0]], float(self._objective.min())
+        looks = self._rng.random((N_NETWORK_LOOKS, p))
+        rows = self._u[np.argsort(self._objective, kind="stable")]
+        home, best_yet = rows[0], float(self._objective.min())
         cost = self._nearness * best_yet
 
         def with_distance(u: FloatArray) -> FloatArray:
@@ -101,13 +103,11 @@ class HiddenNetwork:
             whole = [residuals / np.sqrt(m), np.sqrt(cost) * (u - home)]
             return np.asarray(np.concatenate(whole, axis=1) * np.sqrt(m + p))
 
-        ends, values = descend_together(with_distance, prior, starts)
-        order = np.argsort(values, kind="stable")
-        self._ends = ends[order[:N_ENDS]]
+        ends, values = self._descents.lowest(self._residuals, looks, rows, with_distance)
         points = np.empty((0, p))
-        for end, value in zip(ends[order], values[order], strict=True):
+        for end, value in zip(ends, values, strict=True):
             distance = np.abs(np.concatenate([self._u, points]) - end).max(axis=1).min()
-            is_better = value < (1.0 - LITTLE) * best_yet and distance > SAME_POINT
+            is_better = value < (1.0 - LITTLE_GAIN) * best_yet and distance > SAME_POINT
             if len(points) < n and is_better:
                 points = np.concatenate([points, end[None]])
         if not len(points):
@@ -121,7 +121,7 @@ class HiddenNetwork:
         rows = self._chosen_rows()
         u, y = self._u[rows], self._y[rows]
         if self._fit is not None:
-            share = 1.0 / (1.0 + self._objective[rows] / (FAR * self._objective.min()))
+            share = 1.0 / (1.0 + self._objective[rows] / (FAR_TIMES_BEST * self._objective.min()))
             self._fit = improved(self._fit, u, y, share, LATER_STEPS)
             return bool(self._fit.misfit <= EXPLAINED[0] * SCALE)
         deviation = float(y.std()) if len(y) else 0.0
@@ -139,10 +139,10 @@ class HiddenNetwork:
     def _chosen_rows(self) -> IntArray:
         """Return the positions of the best rows and the last ones."""
         n = len(self._u)
-        if n <= MOST_ROWS:
+        if n <= MOST_FITTED:
             return np.arange(n)
-        best = np.argsort(self._objective, kind="stable")[: MOST_ROWS // 2]
-        return np.asarray(np.union1d(best, np.arange(n - MOST_ROWS // 2, n)), dtype=np.int64)
+        best = np.argsort(self._objective, kind="stable")[: MOST_FITTED // 2]
+        return np.asarray(np.union1d(best, np.arange(n - MOST_FITTED // 2, n)), dtype=np.int64)
 
     def _residuals(self, u: FloatArray) -> FloatArray:
         """Return the residuals by the network at points (n, p). Shape (n, m). [first output's unit]."""

@@ -13,11 +13,6 @@ N_TERMS = 13
 
 
 @compiled
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a @ b)
-
-
-@compiled
 def _exponential(
     a: FloatArray, step: float, with_slopes: bool, answer: FloatArray, slopes: FloatArray
 ) -> None:
@@ -51,24 +46,24 @@ def _exponential(
     slope = np.zeros((s * s, n, n))
     for order in range(1, N_TERMS + 1):
         for d in range(n_slopes):
-            moved = _product(slope[d], matrix)
+            moved = slope[d] @ matrix
             for i in range(n):
                 moved[i, d % s] += term[i, d // s] * (step * scale)
                 for j in range(n):
                     slope[d, i, j] = moved[i, j] / order
                     slopes[d, i, j] += slope[d, i, j]
-        term = _product(term, matrix)
+        term = term @ matrix
         for i in range(n):
             for j in range(n):
                 term[i, j] /= order
                 total[i, j] += term[i, j]
     for _ in range(n_squares):
         for d in range(n_slopes):
-            left, right = _product(slopes[d], total), _product(total, slopes[d])
+            left, right = slopes[d] @ total, total @ slopes[d]
             for i in range(n):
                 for j in range(n):
                     slopes[d, i, j] = left[i, j] + right[i, j]
-        total = _product(total, total)
+        total = total @ total
     for i in range(n):
         for j in range(n):
             answer[i, j] = total[i, j]
@@ -79,8 +74,7 @@ def steps(
     start: FloatArray,
     couplings: FloatArray,
     places: IntArray,
-    potentials: FloatArray,
-    sources: FloatArray,
+    inputs: FloatArray,
     pattern: IntArray,
     patterns: FloatArray,
     step: float,
@@ -94,9 +88,8 @@ def steps(
         start: First states. Shape (n, s).
         couplings: Rates, per unit of time, of which every one moves one state. Shape (n, e). [1]
         places: Of every coupling its kind (0 to another state, 1 to a potential, 2 to a source), the state
-            that it moves, the other state, potential or source, and its switch or -1. Shape (e, 4).
-        potentials: Constant over each step. Shape (m, a).
-        sources: The same. Shape (m, b).
+            that it moves, the other state or the input, and its switch or -1. Shape (e, 4).
+        inputs: Potentials and sources, constant over each step. Shape (m, a).
         pattern: Pattern of the switches in each step. Shape (m,).
         patterns: Which switches are on. Shape (r, w).
         step: Length of a step in the unit of time. [1]
@@ -106,21 +99,20 @@ def steps(
 
     Returns:
         Outputs, shape (n, 1 + m / every, k), and their slopes by couplings and first states, shape
-        (n, 1 + m / every, k, e + s), or (n, 0, 0, 0).
+        (n, 1 + m / every, k, e + s), with k = 0 where they are not wanted.
     """
     n, s = start.shape
     n_couplings, n_patterns, n_times = couplings.shape[1], patterns.shape[0], pattern.size // every + 1
     n_slopes = n_couplings + s
     y = np.empty((n, n_times, n_outputs))
-    slopes = np.zeros((n, n_times, n_outputs, n_slopes)) if with_slopes else np.zeros((n, 0, 0, 0))
-    n_potentials, n_sources = potentials.shape[1], sources.shape[1]
+    slopes = np.zeros((n, n_times, n_outputs if with_slopes else 0, n_slopes))
     x, flow, moved = np.empty(s), np.empty(s), np.empty(s)
     by_rate, by_coupling = np.empty((s * s, s)), np.empty((n_slopes, s))
     for point in range(n):
         rates = couplings[point]
         is_on = np.ones((n_patterns, n_couplings))
         exact, tangents = np.empty((n_patterns, 2 * s, 2 * s)), np.zeros((n_patterns, s * s, 2 * s, 2 * s))
-        driven = np.zeros((n_patterns, s, n_potentials + n_sources))
+        gains = np.zeros((n_patterns, s, inputs.shape[1]))
         for p in range(n_patterns):
             matrix = np.zeros((s, s))
             for e in range(n_couplings):
@@ -132,7 +124,7 @@ def steps(
                 if kind < 2:
                     matrix[i, i] -= rates[e] * is_on[p, e]
                 if kind > 0:
-                    driven[p, i, j + (kind - 1) * n_potentials] += rates[e] * is_on[p, e]
+                    gains[p, i, j] += rates[e] * is_on[p, e]
             _exponential(matrix, step, with_slopes, exact[p], tangents[p])
         for a in range(s):
             x[a] = start[point, a]
@@ -147,10 +139,8 @@ def steps(
             p = pattern[m]
             for a in range(s):
                 total = 0.0
-                for b in range(n_potentials):
-                    total += driven[p, a, b] * potentials[m, b]
-                for b in range(n_sources):
-                    total += driven[p, a, n_potentials + b] * sources[m, b]
+                for b in range(inputs.shape[1]):
+                    total += gains[p, a, b] * inputs[m, b]
                 flow[a] = total
             if with_slopes:
                 for d in range(s * s):
@@ -168,12 +158,8 @@ def steps(
                     if e < n_couplings and is_on[p, e] > 0.0:
                         kind, i, j = places[e, 0], places[e, 1], places[e, 2]
                         for a in range(s):
-                            if kind == 0:
-                                moved[a] += by_rate[i * s + j, a] - by_rate[i * s + i, a]
-                            elif kind == 1:
-                                moved[a] += exact[p, a, s + i] * potentials[m, j] - by_rate[i * s + i, a]
-                            else:
-                                moved[a] += exact[p, a, s + i] * sources[m, j]
+                            gained = exact[p, a, s + i] * inputs[m, j] if kind > 0 else by_rate[i * s + j, a]
+                            moved[a] += gained - by_rate[i * s + i, a] if kind < 2 else gained
                     for a in range(s):
                         by_coupling[e, a] = moved[a]
             for a in range(s):
@@ -184,10 +170,9 @@ def steps(
             for a in range(s):
                 x[a] = moved[a]
             if (m + 1) % every == 0:
-                t = (m + 1) // every
                 for k in range(n_outputs):
-                    y[point, t, k] = x[k]
+                    y[point, (m + 1) // every, k] = x[k]
                     if with_slopes:
                         for e in range(n_slopes):
-                            slopes[point, t, k, e] = by_coupling[e, k]
+                            slopes[point, (m + 1) // every, k, e] = by_coupling[e, k]
     return y, slopes

@@ -18,12 +18,12 @@ from simulation.errors import InputError
 from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.proposer import Proposer
 from studies.calibration.recorder import OnProgress, Recorder, SearchResult
 from studies.calibration.search.adaptive_search import AdaptiveSearch
 from studies.calibration.search.ending import Ending
 from studies.calibration.search.misfit_threshold import misfit_threshold
 from studies.calibration.search.settings import SearchSettings
-from studies.calibration.state_equations.learned_ode import LearnedODE
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Adaptive(SearchSettings):
         *,
         seed: int,
         known: Evaluation | None = None,
-        learned_ode: LearnedODE | None = None,
+        learned_ode: Proposer | None = None,
         network_inputs: NetworkInputs | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:

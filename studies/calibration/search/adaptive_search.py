@@ -20,6 +20,7 @@ from studies.calibration.largest_samples import outlying_part
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.processes.groups import Part, ProcessGroups, is_refitted
 from studies.calibration.processes.process import Features
+from studies.calibration.proposer import Proposer
 from studies.calibration.recorder import Recorder
 from studies.calibration.search.confirmation import least_unlikely
 from studies.calibration.search.constants import SEARCH
@@ -37,7 +38,7 @@ from studies.calibration.search.row_choice import n_apart
 from studies.calibration.search.settings import SearchSettings
 from studies.calibration.search.truncated_window import TruncatedWindow
 from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN
-from studies.calibration.state_equations.learned_ode import LearnedODE, enough_for_equations
+from studies.calibration.state_equations.learned_ode import enough_for_equations
 
 
 @dataclass
@@ -69,7 +70,7 @@ class AdaptiveSearch:
         recorder: Recorder,
         rng: np.random.Generator,
         known: Evaluation | None = None,
-        learned_ode: LearnedODE | None = None,
+        learned_ode: Proposer | None = None,
         network: HiddenNetwork | None = None,
     ) -> None:
         """Begin with what is known.
@@ -338,7 +339,7 @@ class AdaptiveSearch:
         """Ask a round of random rows."""
         self._ask(self._rng.random((self._settings.n_parallel, self._p)))
 
-    def _beyond_rows(self, ode: LearnedODE) -> Callable[[], None] | None:
+    def _beyond_rows(self, ode: Proposer) -> Callable[[], None] | None:
         """Return what may show that the model does more than equations know, None for nothing."""
         n = math.ceil(SEARCH.n_probes / self._settings.n_parallel) * self._settings.n_parallel
         is_affordable = self._settings.max_calls - self._recorder.n_calls >= n
@@ -348,13 +349,13 @@ class AdaptiveSearch:
             return partial(self._probe, ode, n)
         return self._ask_rest if self._is_too_large and len(self._unasked) else None
 
-    def _probe(self, ode: LearnedODE, n: int) -> None:
+    def _probe(self, ode: Proposer, n: int) -> None:
         """Ask n rows where states go beyond what rows have shown, as where a valve closes."""
         self._has_probed = True
         self._ask(ode.unseen(self._u[int(np.argmin(self._objective))], n, self._rng))
 
     @property
-    def _believed(self) -> LearnedODE | None:
+    def _believed(self) -> Proposer | None:
         """The state equations where they propose the next point: they are known in the whole box."""
         is_believed = self._ode is not None and self._ode.is_believed and not self._ode.is_given_up
         return self._ode if is_believed else None

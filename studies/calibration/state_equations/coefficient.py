@@ -14,19 +14,17 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.processes.process import Features
-from studies.calibration.state_equations.product_forms import Products, ProductSum, product_sum
+from studies.calibration.state_equations.product_forms import SPARE_ROWS, Products, ProductSum, product_sum
+from studies.calibration.state_equations.terms import TINY
 
 # Sum of squares, as a share of all, below which features explain a coefficient exactly.
-EXACT = 1e-10
+EXACT_FEATURES = 1e-10
 # Features of a sum: with more, few rows would leave none to judge by.
 MOST_FEATURES = 4
 # Of sets of features so many are looked at further; squares of a column below which others make it up.
-N_BEST, SAME_FEATURE = 12, 1e-9
-TINY = float(np.finfo(float).tiny)
-# Rows more than numbers, before chance can be separated from a formula.
-SPARE_ROWS = 2
+N_BEST_SETS, SAME_FEATURE = 12, 1e-9
 # Relative to the mean's square: below, a coefficient is a constant.
-CONSTANT = 1e-20
+CONSTANT_SQUARES = 1e-20
 # Rows below which nothing is looked for.
 # With one or two amounts to find, four rows leave three
 # or two numbers that must fit to five digits (same note).
@@ -96,7 +94,7 @@ class Coefficient:
         size = float(np.square(z - mean).sum())
         # Differences of logarithms are relative already: they
         # are compared with 1 where their mean is near zero.
-        if size <= CONSTANT * len(z) * max(mean**2, float(is_signed)):
+        if size <= CONSTANT_SQUARES * len(z) * max(mean**2, float(is_signed)):
             return cls(sign, mean)
         if (found := product_sum(products, points.theta, values)) is not None:
             return cls(0.0, 0.0, formula=found)
@@ -104,7 +102,7 @@ class Coefficient:
         # so its values are tried beside their logarithms.
         sums = [(_feature_sum(x, z), sign), *([(_feature_sum(x, values), 0.0)] if is_signed else [])]
         (numbers, left), kind = min(sums, key=lambda one: one[0][1])
-        return cls(kind, numbers[0], slopes=numbers[1:]) if left < EXACT else None
+        return cls(kind, numbers[0], slopes=numbers[1:]) if left < EXACT_FEATURES else None
 
     @property
     def fixed_value(self) -> float | None:
@@ -172,11 +170,11 @@ def _feature_sum(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
             squares = np.square(rest).sum(axis=0)
             # What chosen ones make up has rounding left alone, whose direction means nothing.
             gains = np.where(squares > SAME_FEATURE * norms, (left @ rest) ** 2, 0.0) / (squares + TINY)
-            for one in np.argsort(gains, kind="stable")[-N_BEST:].tolist():
+            for one in np.argsort(gains, kind="stable")[-N_BEST_SETS:].tolist():
                 share = (float(left @ left) - float(gains[one])) / size
                 shares[tuple(sorted({*chosen, one}))] = share
-        best = sorted((share, features) for features, share in shares.items())[:N_BEST]
-        if best[0][0] < EXACT:
+        best = sorted((share, features) for features, share in shares.items())[:N_BEST_SETS]
+        if best[0][0] < EXACT_FEATURES:
             break
     features = list(best[0][1])
     # Projections have found the set; one plain fit gives its numbers without their accumulated rounding.

@@ -2,7 +2,7 @@
 
     dx_j/dt = sum_k a_jk(theta) f_jk(x, u),    y = sum_k c_k(theta) g_k(x, u).
 
-The terms f and g are states and inputs, their differences, products and functions (state_terms.py). Which of
+The terms f and g are states and inputs, their differences, products and functions (terms.py). Which of
 them they are is found in what the states did (term_choice.py), and each one's coefficient is learnt over the
 parameters (coefficient.py). Trajectories are curved in many ways where coefficients are not: from ten rows
 of an office with 14 parameters its trajectories are known about as well as from a thousand by a surrogate
@@ -23,8 +23,9 @@ from studies.calibration.state_equations.states import StateRows, StateSignals
 from studies.calibration.state_equations.switch_rules import switch_rules
 from studies.calibration.state_equations.term_choice import Fit, chosen_terms, fitted
 from studies.calibration.state_equations.terms import (
-    N_ROWS,
-    N_TIMES,
+    N_CHOICE_ROWS,
+    N_CHOICE_TIMES,
+    TINY,
     Sum,
     Term,
     candidates,
@@ -87,7 +88,7 @@ class Structure:
         """
         sums, worst = dict[int, Sum](), 0.0
         # A part of the rows, at a part of the times, is enough to find the terms.
-        some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
+        some, times = spread(len(rows.x), N_CHOICE_ROWS), spread(rows.x.shape[1] - 1, N_CHOICE_TIMES)
         x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
         names = (*signals.derivatives, *signals.outputs)
@@ -115,26 +116,16 @@ class Structure:
     def of_used(self, signals: StateSignals) -> tuple[StateSignals, Self]:
         """Return signals without the hidden inputs that no term has, and the structure of those."""
         n_states = len(signals.states)
-        n_declared = n_states + signals.n_declared
-        used = self.used()
-        kept = [*range(n_declared), *sorted(place for place in used if place >= n_declared)]
-        place_of = {-1: -1} | {place: rank for rank, place in enumerate(kept)}
-        columns = [place - n_states for place in kept[n_states:]]
+        hidden = sorted(place for place in self.used() if place >= n_states + signals.n_declared)
+        kept = [*range(n_states + signals.n_declared), *hidden]
+        place_of = {place: rank for rank, place in enumerate((-1, *kept), -1)}
 
         def moved(term: Term) -> Term:
             factors = tuple(place_of[place] for place in term.factors)
             return term._replace(column=place_of[term.column], factors=factors)
 
         sums = tuple(replace(one, terms=tuple(map(moved, one.terms))) for one in self.sums)
-        fewer = replace(
-            signals,
-            inputs=tuple(signals.inputs[one] for one in columns),
-            units=tuple(signals.units[place] for place in kept),
-            driven=signals.driven[:, columns],
-            seen=None if signals.seen is None else signals.seen[:, columns],
-            n_hidden=len(kept) - n_declared,
-        )
-        return fewer, replace(self, sums=sums)
+        return signals.with_hidden([place - n_states for place in hidden]), replace(self, sums=sums)
 
     def used(self) -> set[int]:
         """Return the positions among states and inputs that terms have."""
@@ -186,7 +177,7 @@ def most_left(signals: StateSignals, own: int, x: FloatArray) -> float:
     """
     if own < 0 or not signals.tolerance:
         return LEARNT
-    moved = x[..., own].std(axis=1) + np.finfo(float).tiny
+    moved = x[..., own].std(axis=1) + TINY
     # The solver's error is relative to a state's size, what equations leave is relative to how it moves.
     error = signals.tolerance * np.abs(x[..., own]).max(axis=1) / moved
     return float(np.clip(np.median(error) ** 2, LEARNT, MOST_LEFT))
@@ -200,13 +191,7 @@ def _sum(
     Returns:
         The terms, none where none make it up, and the least share of squares that any have left. [1]
     """
-    n_declared = signals.n_declared
-    declared = replace(
-        signals,
-        inputs=signals.inputs[:n_declared],
-        units=signals.units[: len(signals.states) + n_declared],
-        n_hidden=0,
-    )
+    declared = signals.with_hidden([])
     enough = most_left(signals, own, x)
     # Few candidates go first, and declared inputs before
     # hidden ones: the more there are, the more fit by chance.
@@ -304,10 +289,10 @@ class StateEquations:
             if isinstance(switched, str):
                 return switched
             equations = switched
-        some = points.part(spread(len(points.x), N_ROWS))
+        some = points.part(spread(len(points.x), N_CHOICE_ROWS))
         assert isinstance(equations.flow, SteppedFlow), "linear equations were returned above"
         with np.errstate(all="ignore"):
-            fine = equations.flow.fine_enough(equations._at_start(some), equations._rates(some))
+            fine = equations.flow.fine_enough(values(start, some).T, equations._rates(some))
         return "they move too fast to be solved in time" if fine is None else replace(equations, flow=fine)
 
     def _with_rules(self, points: Points, x: FloatArray, products: Products) -> Self | str:
@@ -419,7 +404,7 @@ class StateEquations:
         with np.errstate(all="ignore"):
             error = np.square(self._states(points) - x).mean(axis=1)
             # By its variance: the level of a temperature in K would hide all errors.
-            share = float((error / (x.var(axis=1) + np.finfo(float).tiny)).mean())
+            share = float((error / (x.var(axis=1) + TINY)).mean())
         return share if np.isfinite(share) else np.inf
 
     def outputs(self, points: Points) -> FloatArray:
@@ -448,7 +433,7 @@ class StateEquations:
 
     def _states(self, points: Points) -> FloatArray:
         """Solve the equations; return the states at all watched outputs. Shape (n, t, s). [FMU's units]."""
-        return self.flow.states(self._at_start(points), self._rates(points))
+        return self.flow.states(values(self.start, points).T, self._rates(points))
 
     def coefficients(self, points: Points) -> FloatArray:
         """Return all coefficients and first states. Shape (n, c)."""
@@ -471,7 +456,3 @@ class StateEquations:
         """Return the coefficients of every derivative, shapes (n, terms), and of switches, (n, 2 r)."""
         tables = (*self.by_term[: len(self.signals.states)], self.limits)
         return [values(table, points) for table in tables if table]
-
-    def _at_start(self, points: Points) -> FloatArray:
-        """Return the first states. Shape (s, n)."""
-        return values(self.start, points).T

@@ -5,7 +5,7 @@ others by the classical Runge-Kutta method of fourth order, in so many parts of 
 not matter. Points share the cores; each one's numbers are the same whatever it is solved beside.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,14 +25,10 @@ MOST_MODES = 64
 EXPONENTIAL = 30
 # Parts of a communication step, and the change by halving them that is small: relative to how a state moves,
 # or to one that is at rest.
-MOST_PARTS, SMALL_CHANGE, ROUNDING = 64, 1e-2, 1e-9
+MOST_PARTS, SMALL_CHANGE, SMALL_AT_REST = 64, 1e-2, 1e-9
 # The same where switches change, whose times errors move. With two parts instead of four a heat pump took
 # four calls more for its last 7 % (docs/notes/state-equations.md, Switches).
 SMALL_WITH_SWITCHES = 1e-3
-
-Solver = Callable[[FloatArray, FloatArray, FloatArray, float, int], FloatArray]
-"""First states (n, s), coefficients (n, f), inputs (m, q), communication step [s], and communication steps
-from one output to the next, to states at the outputs (n, t, s)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +177,7 @@ class SteppedFlow:
             n = self.signals.n_continuous
             change = np.sqrt(np.mean((states - coarse)[is_known, :, :n] ** 2, axis=1))
             solved = states[is_known, :, :n]
-            small = share * solved.std(axis=1) + ROUNDING * np.abs(solved).max(axis=1)
+            small = share * solved.std(axis=1) + SMALL_AT_REST * np.abs(solved).max(axis=1)
             if change.size and (change <= small).all():
                 return flow
             coarse = states
@@ -197,34 +193,27 @@ class SteppedFlow:
         Returns:
             The states at the outputs. Shape (n, t, s).
         """
-        signals, solve = self.signals, self.solver()
-        coefficients = np.concatenate(rates, axis=1)
+        signals, coefficients = self.signals, np.concatenate(rates, axis=1)
         n_threads = max(min(available_cores(), start.shape[1]), 1)
 
         def solved(rows: IntArray) -> FloatArray:
-            first = np.ascontiguousarray(start.T[rows])
-            return solve(first, coefficients[rows], signals.driven, signals.step_s, signals.every)
+            points = start.T[rows], coefficients[rows]
+            return self.solved(*points, signals.driven, signals.step_s, signals.every)
 
         # Threads are enough: compiled steps run without the interpreter's lock.
         with ThreadPoolExecutor(n_threads) as threads:
             parts = np.array_split(np.arange(start.shape[1]), n_threads)
             return np.concatenate([*threads.map(solved, parts)])
 
-    def solver(self) -> Solver:
-        """Return what solves the equations from any start over any inputs."""
+    def solved(
+        self, start: FloatArray, coefficients: FloatArray, driven: FloatArray, step_s: float, every: int
+    ) -> FloatArray:
+        """Solve the equations from any start over any inputs, see `flow_steps.steps`. Shape (n, t, s)."""
         # Only who needs it waits for numba.
-        from studies.calibration.state_equations.flow_steps import SOLVED, steps
+        from studies.calibration.state_equations.flow_steps import steps
 
-        places = self._places(("", *SOLVED))
-        ends = np.array([*accumulate(len(one.terms) for one in self.sums)])
-
-        def solve(
-            start: FloatArray, coefficients: FloatArray, driven: FloatArray, step_s: float, every: int
-        ) -> FloatArray:
-            start, driven = np.ascontiguousarray(start), np.ascontiguousarray(driven)
-            return steps(start, coefficients, driven, ends, places, step_s, self.n_parts, every, self.rules)
-
-        return solve
+        arrays = np.ascontiguousarray(start), coefficients, np.ascontiguousarray(driven), *self._terms
+        return steps(*arrays, step_s, self.n_parts, every, self.rules)
 
     @property
     def unsolved(self) -> str:
@@ -234,20 +223,23 @@ class SteppedFlow:
         functions = (term.function for one in self.sums for term in one.terms if term.function)
         return next((name for name in functions if name not in SOLVED), "")
 
-    def _places(self, functions: tuple[str, ...]) -> IntArray:
-        """Return of every term where its parts are; see `flow_steps.steps`."""
+    @cached_property
+    def _terms(self) -> tuple[IntArray, IntArray]:
+        """Position after every derivative's last term, and where terms' parts are: see `flow_steps.steps`."""
+        from studies.calibration.state_equations.flow_steps import SOLVED
+
         terms = [(one.own, term) for one in self.sums for term in one.terms]
         # Behind the inputs stand a 1 and a 0: with these, every term is a difference times as many factors.
         nothing = len(self.signals.states) + len(self.signals.inputs) + 1
         one, most = nothing - 1, max(len(term.factors) for _, term in terms)
-        rows = [
+        places = [
             (
                 term.column if term.column >= 0 else one,
                 own if term.is_difference else nothing,
-                functions.index(term.function),
+                ("", *SOLVED).index(term.function),
                 *term.factors,
                 *[one] * (most - len(term.factors)),
             )
             for own, term in terms
         ]
-        return np.array(rows, dtype=np.int64)
+        return np.array([*accumulate(len(one.terms) for one in self.sums)]), np.array(places, dtype=np.int64)

@@ -6,13 +6,13 @@ from simulation.arrays import FloatArray, IntArray
 from simulation.fmi.call import compiled
 
 # Changes within a step beyond which a switch never comes to rest, and guesses at the time of one.
-MOST_CHANGES, MOST_GUESSES = 100, 60
+MOST_CHANGES_AT_ONCE, MOST_GUESSES = 100, 60
 # A change is found to this part of a step. Rounding.
-SAME_TIME = 1e-9
+SAME_MOMENT = 1e-9
 # Below a norm of 1/2 the next term of the series is less than rounding.
 N_TERMS = 13
 SOLVED = ("root", "square", "natural convection", "magnitude", "sine", "cosine")
-"""Functions of `state_terms.FUNCTIONS` that steps take, by the number of each from 1 on."""
+"""Functions of `terms.FUNCTIONS` that steps take, by the number of each from 1 on."""
 # Up to so many states a call of BLAS takes longer than the product itself (4.3 instead of 2.3 us with four).
 SMALL = 8
 
@@ -203,7 +203,7 @@ def steps(
                         x[rules[rule, 0]] = columns[rules[rule, 0]] = 1.0 - x[rules[rule, 0]]
                         since[rules[rule, 0]] = 0.0
                         n_changes += 1
-                        if n_changes > MOST_CHANGES:
+                        if n_changes > MOST_CHANGES_AT_ONCE:
                             _fill(x, np.nan)
                             break
                         continue
@@ -218,11 +218,11 @@ def steps(
                     # stays counts half (Illinois; Dowell and Jarratt 1971, doi:10.1007/BF01934364).
                     low, high, at_low, at_high, side = 0.0, left, beyond, beyond_then, 0
                     for _ in range(MOST_GUESSES):
-                        if high - low <= SAME_TIME * h:
+                        if high - low <= SAME_MOMENT * h:
                             break
                         guess = high - (high - low) * at_high / (at_high - at_low)
                         # A guess at an end of the bracket would leave the bracket as it is.
-                        guess = min(max(guess, low + 0.5 * SAME_TIME * h), high - 0.5 * SAME_TIME * h)
+                        guess = min(max(guess, low + 0.5 * SAME_MOMENT * h), high - 0.5 * SAME_MOMENT * h)
                         _put(x, before)
                         _advance(x, guess, columns, terms, ends, places, slope, total)
                         _sum(since, since_then, guess)

@@ -1,7 +1,7 @@
 """Inputs that an FMU hides: variables that follow time and not the parameters, as weather inside the model.
 
 They are known at the outputs alone. What they do in between is smooth but where they jump, and a jump lies
-anywhere between two outputs; solved equations show where (learned_ode.py).
+anywhere between two outputs; solved equations show where (identification.py).
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from studies.calibration.state_equations.states import StateSignals
 
 # Squares of a signal, as a share of all, by which it may differ in two rows or from a sum of others.
 SAME = 1e-10
-# A change of this share of its magnitude is none.
+# A change or a deviation over time of this share of a signal's magnitude is none.
 AT_REST = 1e-9
 # A change between two outputs so many times greater than those before and after it is a jump.
 JUMP = 3.0

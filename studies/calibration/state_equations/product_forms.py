@@ -17,14 +17,14 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.state_equations.term_choice import explained_by_pairs
-from studies.calibration.state_equations.terms import spread
+from studies.calibration.state_equations.terms import TINY, spread
 
 # Weighted squares, as a share of those around the mean, below which a formula is exact. Sums of two are so
 # many that with few rows some would fit the errors of one product: there, the second counts.
 # Errors of 1e-4 and 1e-5, squared: coefficients of the office are good
 # to 1e-5 and worse (docs/notes/state-equations.md, Whole powers).
-EXACT, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
-# Rows more than amounts, before chance can be separated from a formula.
+EXACT_PRODUCTS, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
+# Rows more than amounts or other numbers, before chance can be separated from a formula.
 SPARE_ROWS = 2
 # The same of longer sums, of which there are more: they have to be what is written into a model.
 EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
@@ -34,12 +34,12 @@ EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
 MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
 # So many rows decide which products may be meant.
 # So a coefficient without formula takes 14 to 45 ms, with up to 200 rows and 22 parameters (the same note).
-MOST_ROWS = 12
+MOST_PROPOSING = 12
 # All sums of two are looked at; of longer ones those that begin with the best shorter ones, so many. So many
 # are looked at closely. Squared sines below which a product is made up by others.
 # All of 20 drawn sums of three were found so, from six
 # rows; of sums of four 2 of 5, from ten (the same note).
-MOST_SUMMED, N_BEGINNINGS, N_BEST, SAME_PRODUCT = 3, 200, 8, 1e-10
+MOST_SUMMED, N_BEGINNINGS, N_BEST_SUMS, SAME_PRODUCT = 3, 200, 8, 1e-10
 # Values count by themselves, but not those that happen to be next to nothing. [root mean square]
 NEXT_TO_NOTHING = 1e-3
 
@@ -64,13 +64,11 @@ class Products:
         for n_factors in range(1, MOST_FACTORS + 1):
             if len(powers) + comb(space.n_parameters, n_factors) * 2**n_factors > MOST_PRODUCTS:
                 break
-            more = []
             for chosen in combinations(range(space.n_parameters), n_factors):
                 for signs in product(*[(1, -1) if kept[one] else (1,) for one in chosen]):
                     row = np.zeros(space.n_parameters, dtype=np.int64)
                     row[list(chosen)] = signs
-                    more.append(row)
-            powers += more
+                    powers.append(row)
             if len(powers) <= MOST_PAIRED:
                 n_paired = len(powers)
         return cls(np.array(powers), n_paired)
@@ -133,7 +131,7 @@ def shortest_product(products: Products, theta: FloatArray, value: float, amount
     # A parameter may be zero there.
     with np.errstate(all="ignore"):
         shares = value / (amount * values_of(powers, theta[None])[0])
-    found = np.flatnonzero((np.abs(shares) - 1.0) ** 2 < EXACT)
+    found = np.flatnonzero((np.abs(shares) - 1.0) ** 2 < EXACT_PRODUCTS)
     if not found.size:
         return None
     return ProductSum(amount * np.sign(shares[found[:1]]), powers[found[:1]])
@@ -155,13 +153,13 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     if len(values) < 1 + SPARE_ROWS:
         return None
     # A part of the rows proposes products, all rows judge them.
-    some = spread(len(values), MOST_ROWS)
+    some = spread(len(values), MOST_PROPOSING)
     table = values_of(products.powers, theta[some])
     # A column of zeros explains nothing.
     table = np.where(np.isfinite(table).all(axis=0), table, 0.0)
     # One product goes first: in a sum, a second one would only absorb its error (the same note).
     left, formula = _judged(products.powers[[_single(table, values[some])]], theta, values)
-    if left < EXACT:
+    if left < EXACT_PRODUCTS:
         return formula
     # Resistances in series make a coefficient one over a sum, such as 1 / (R + S).
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
@@ -174,16 +172,16 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
         for kind, goal in enumerate(goals):
             weight = _weight(goal[some])
             scaled, sought = table * weight[:, None], goal[some] * weight
-            scaled = scaled / np.maximum(np.sqrt(np.square(scaled).sum(axis=0)), np.finfo(float).tiny)
+            scaled = scaled / np.maximum(np.sqrt(np.square(scaled).sum(axis=0)), TINY)
             explained = _pairs(scaled, sought) if n_summed == 2 else _longer(scaled, sought, beginnings[kind])
             beginnings[kind] = _best_sums(explained, beginnings.get(kind))
             judged += [
                 _judged(products.powers[chosen], theta, goal, is_reciprocal=bool(kind))
-                for chosen in beginnings[kind][:N_BEST]
+                for chosen in beginnings[kind][:N_BEST_SUMS]
             ]
         if not judged:
             break
-        exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
+        exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT_PRODUCTS
         left, formula = min(judged, key=lambda one: one[0])
         if left < (exact if n_summed == 2 else EXACT_OF_LONG):
             return formula
@@ -208,21 +206,20 @@ def _judged(
     error = columns @ amounts - goal
     # Weighted, a constant is the weight itself: its projection is what a constant explains.
     around = goal - weight * (weight @ goal) / (weight @ weight)
-    left = float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
+    left = float(error @ error) / max(float(around @ around), TINY)
     return left if np.isfinite(left) else np.inf, ProductSum(amounts, powers, is_reciprocal)
 
 
 def _weight(values: FloatArray) -> FloatArray:
     # Errors count relative to each row, as coefficients vary a hundredfold over a box (the same note).
-    weight: FloatArray = 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
-    return weight
+    return np.asarray(1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2)))
 
 
 def _single(table: FloatArray, values: FloatArray) -> int:
     """Return which product (n, m) explains values alone the best."""
     weight = _weight(values)
     table, values = table * weight[:, None], values * weight
-    amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), np.finfo(float).tiny)
+    amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), TINY)
     left = np.square(values[:, None] - table * amounts).sum(axis=0)
     return int(np.argmin(np.where(np.isfinite(left), left, np.inf)))
 

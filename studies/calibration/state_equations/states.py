@@ -4,16 +4,17 @@ An FMU declares its states, their derivatives and what these depend on. They are
 simulation shows how the model moves, and not only what its sensors would show.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.layout import MARK, Experiment, Layout
+from simulation.layout import MARK, Experiment, Layout, Names
 from simulation.trajectories import Trajectories, wrong_output
 
 # A hundred points of a thousand steps take 0.03 s with 8 states, 0.9 s with 64; a
@@ -110,6 +111,18 @@ class StateSignals:
             time_unit_s=case.settings.time_unit_s,
         )
 
+    def with_hidden(self, columns: Sequence[int]) -> Self:
+        """Return signals of which these alone, among the inputs, are hidden inputs."""
+        kept, n_states = [*range(self.n_declared), *columns], len(self.states)
+        return replace(
+            self,
+            inputs=tuple(self.inputs[one] for one in kept),
+            units=(*self.units[:n_states], *(self.units[n_states + one] for one in kept)),
+            driven=self.driven[:, kept],
+            seen=None if self.seen is None else self.seen[:, kept],
+            n_hidden=len(columns),
+        )
+
     @property
     def n_declared(self) -> int:
         """Inputs that the FMU declares, the first ones."""
@@ -144,6 +157,16 @@ class StateRows(NamedTuple):
     slope: FloatArray
     y: FloatArray
     locals: FloatArray | None = None
+
+    @property
+    def are_known(self) -> BoolArray:
+        """In which rows states, derivatives and outputs are. Shape (n,)."""
+        return np.asarray(np.all([np.isfinite(part).all(axis=(1, 2)) for part in self[:3]], axis=0))
+
+    def take(self, rows: slice | BoolArray) -> Self:
+        """Return some of the rows."""
+        others = None if self.locals is None else self.locals[rows]
+        return type(self)(self.x[rows], self.slope[rows], self.y[rows], others)
 
 
 def why_unwatched(case: Case) -> str:
@@ -251,9 +274,9 @@ class WatchedModel(WrappedModel):
         return self._model.time[self.signals.n_before :]
 
     @property
-    def watched_names(self) -> tuple[str, ...]:
-        """Names of the outputs and of all that is watched."""
-        return self._model.output_names
+    def watched_names(self) -> Names:
+        """Names of the parameters, and of the outputs and all that is watched."""
+        return self._model.parameter_space.names, self._model.output_names
 
     @property
     def watched_time(self) -> FloatArray:
@@ -278,17 +301,12 @@ class WatchedModel(WrappedModel):
 
     def simulate_more(self, theta: FloatArray) -> Trajectories:
         """Simulate every row, and remember the rows before, too; see simulate."""
-        answer = self._model.simulate(theta)
-        self.remember(answer)
-        return self.reported(answer)
+        return self.remember(self._model.simulate(theta))
 
-    def remember(self, watched: Trajectories) -> None:
-        """Keep what the states did in rows that were simulated with them."""
+    def remember(self, watched: Trajectories) -> Trajectories:
+        """Keep what the states did in rows that were simulated with them; return the rows' outputs."""
         # Bytes are exact keys: `seen` is asked for the parameters as this simulation answered them.
         self._last |= {row.tobytes(): y for row, y in zip(watched.theta, watched.y, strict=True)}
-
-    def reported(self, watched: Trajectories) -> Trajectories:
-        """Return the outputs of rows that were simulated with their states and any warm-up of their own."""
         y, failures = watched.y[:, self.signals.n_before :, : self._n_outputs], list(watched.failures)
         for row in np.flatnonzero(~watched.failed):
             failures[row] = wrong_output(self.output_names, self.time, y[row], accepted=self.signals.accepted)

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from simulation.arrays import FloatArray, IntArray
-from studies.calibration.state_equations.flow import MOST_PARTS, Solver, SteppedFlow
+from studies.calibration.state_equations.flow import MOST_PARTS, SteppedFlow
+from studies.calibration.state_equations.hidden_inputs import AT_REST
 from studies.calibration.state_equations.states import StateSignals
 from studies.calibration.state_equations.terms import Sum
 
@@ -22,9 +23,7 @@ from studies.calibration.state_equations.terms import Sum
 MEETS = 1e-4
 # By how much of its deviation over time a threshold may differ between the changes
 # of a row, and a waiting time relative to itself.
-SAME_VALUE, SAME_TIME = 1e-4, 1e-5
-# Deviation of a state that hardly moves, as a share of its size.
-AT_REST = 1e-9
+SAME_VALUE, SAME_WAIT = 1e-4, 1e-5
 # So many changes of a row are looked at.
 MOST_CHANGES = 40
 
@@ -77,12 +76,10 @@ def switch_rules(
         changes, 0 for none, NaN where a row leaves them open, shape (n, 2 r). In words, why there are none.
     """
     n_states, coefficients = len(signals.states), np.concatenate(rates, axis=1)
-    solve = SteppedFlow(signals, derivatives, n_parts=MOST_PARTS).solver()
+    flow = SteppedFlow(signals, derivatives, n_parts=MOST_PARTS)
     places, found = list[list[int]](), list[_Rule]()
     for switch in range(signals.n_continuous, n_states):
-        by_row = [
-            _changes(signals, solve, row, known, switch) for row, known in zip(x, coefficients, strict=True)
-        ]
+        by_row = [_changes(flow, row, known, switch) for row, known in zip(x, coefficients, strict=True)]
         for position in (0, 1):
             changes = [[one for one in row if one.before[switch] == position] for row in by_row]
             if not any(changes):
@@ -96,10 +93,9 @@ def switch_rules(
     return np.array(places, dtype=np.int64).reshape(-1, 5), np.array(limits).reshape(-1, len(x)).T
 
 
-def _changes(
-    signals: StateSignals, solve: Solver, x: FloatArray, coefficients: FloatArray, switch: int
-) -> list[_Change]:
+def _changes(flow: SteppedFlow, x: FloatArray, coefficients: FloatArray, switch: int) -> list[_Change]:
     """Locate the changes of a switch in a row's states (t, s)."""
+    signals = flow.signals
     # As in solved equations, the first output counts as a change.
     found, last = list[_Change](), 0.0
     scale = x.std(axis=0)
@@ -109,7 +105,7 @@ def _changes(
     firsts = np.flatnonzero(np.diff(x[:, switch]))
     for first in firsts[:MOST_CHANGES].tolist():
         driven = signals.driven[first * signals.every : (first + 1) * signals.every]
-        located = _located(solve, (x[first], x[first + 1]), coefficients, driven, signals.step_s, weight)
+        located = _located(flow, (x[first], x[first + 1]), coefficients, driven, weight)
         if located is None:
             last = np.nan
             continue
@@ -122,11 +118,10 @@ def _changes(
 
 
 def _located(
-    solve: Solver,
+    flow: SteppedFlow,
     ends: tuple[FloatArray, FloatArray],
     coefficients: FloatArray,
     driven: FloatArray,
-    step_s: float,
     weight: FloatArray,
 ) -> tuple[int, float, FloatArray] | None:
     """Find where solutions from either end of an output step meet.
@@ -136,9 +131,9 @@ def _located(
     """
 
     def states(start: FloatArray, inputs: FloatArray, length_s: float) -> FloatArray:
-        answer: FloatArray = solve(start[None], coefficients[None], inputs, length_s, 1)[0]
-        return answer
+        return np.asarray(flow.solved(start[None], coefficients[None], inputs, length_s, 1)[0])
 
+    step_s = flow.signals.step_s
     old, new = states(ends[0], driven, step_s), states(ends[1], driven[::-1], -step_s)[::-1]
     apart = (old - new) * weight
     along = apart[-1] - apart[0]
@@ -189,12 +184,7 @@ def _rule(signals: StateSignals, x: FloatArray, changes: Sequence[Sequence[_Chan
 
 
 def _judged(
-    x: FloatArray,
-    changes: Sequence[Sequence[_Change]],
-    value: int,
-    less: int,
-    *,
-    waits: bool,
+    x: FloatArray, changes: Sequence[Sequence[_Change]], value: int, less: int, *, waits: bool
 ) -> tuple[float, _Rule] | None:
     """Return by how much a threshold differs in rows and the rule, None where there is no such threshold."""
     if waits:
@@ -215,7 +205,7 @@ def _judged(
     for n, (shown, row) in enumerate(zip(there, changes, strict=True)):
         waited = np.array([one.waited_s for one in row])
         least = np.nanmin(waited, initial=np.inf)
-        is_bound = waited <= least * (1.0 + SAME_TIME) if waits else np.zeros(len(row), dtype=np.bool_)
+        is_bound = waited <= least * (1.0 + SAME_WAIT) if waits else np.zeros(len(row), dtype=np.bool_)
         free = shown[~is_bound]
         is_tested |= free.size > 1
         if free.size:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.state_equations.terms import Term
+from studies.calibration.state_equations.terms import TINY, Term
 
 # Sums of squares, as a share of the derivative's, that a complete sum of terms leaves.
 # Where equations exist, fits explained 13 digits or more of the squares, else
@@ -32,7 +32,7 @@ MOST_AT_ONCE = 200
 # Half of a number's 16 digits, less those that sixteen differences cost.
 CANCELLED = 1e-6
 # What is left of a column of size 1 beside others, at least.
-ROUNDING = 1e-13
+LEAST_PIVOT = 1e-13
 
 
 @np.errstate(all="ignore")
@@ -63,9 +63,7 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     # One by one, x y and y were missed among 64 terms and six others taken; as a pair
     # they are found (docs/notes/state-equations.md, Functions and compiled steps).
     if left > NEARLY_COMPLETE and len(terms) > 2 and (pair := _best_pair(values, target)):
-        again, left_again = _added(values, target, pair)
-        if left_again < left:
-            chosen, left = again, left_again
+        chosen, left = min((chosen, left), _added(values, target, pair), key=lambda one: one[1])
     # Of a room with ten terms, sixteen that were added one by one left 8e-5 of the
     # squares; this leaves 1e-28 (docs/notes/state-equations.md, Weather inside the FMU).
     if left > NEARLY_COMPLETE and MOST_TERMS < len(terms) <= min(MOST_AT_ONCE, target.shape[1] // 2):
@@ -82,7 +80,7 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
     pairs = [np.linalg.qr(one) for one in values]
     columns = np.array([triangle for _, triangle in pairs])
     goals = np.array([axes.T @ goal for (axes, _), goal in zip(pairs, target, strict=True)])
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    size = np.square(target).sum(axis=1) + TINY
     # What lies outside of all terms is lost in the projection, and is added to all that is left later.
     out_of_reach = np.maximum(1.0 - np.square(goals).sum(axis=1) / size, 0.0).mean()
 
@@ -112,7 +110,7 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
 
 def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[list[int], float]:
     """Add terms to those that are begun with, take needless ones away; return them and what they leave."""
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    size = np.square(target).sum(axis=1) + TINY
     chosen, left, axes = list[int](), target.copy(), values[..., :0]
     squares = np.square(values).sum(axis=1)
     while len(chosen) < min(MOST_TERMS, values.shape[2], target.shape[1] - 1):
@@ -161,7 +159,7 @@ def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
     """Return the two terms (n, t, f) that explain most of a target (n, t) together, mean over rows."""
     explained = np.zeros((values.shape[2],) * 2)
     for columns, goal in zip(values, target, strict=True):
-        along = goal @ columns / np.sqrt(goal @ goal + np.finfo(float).tiny)
+        along = goal @ columns / np.sqrt(goal @ goal + TINY)
         explained += np.minimum(explained_by_pairs(columns, along, alike=0.0), 1.0)
     first, second = np.unravel_index(int(np.argmax(explained)), explained.shape)
     return [int(first), int(second)] if explained[first, second] > 0.0 else []
@@ -201,7 +199,6 @@ class Fit(NamedTuple):
 
 def fitted(values: FloatArray, target: FloatArray) -> Fit:
     """Fit terms, values of shape (t, f), to one row's target (t,)."""
-    tiny = np.finfo(float).tiny
     with np.errstate(all="ignore"):
         norm = np.sqrt(np.square(values).sum(axis=0))
         if not (np.isfinite(norm).all() and np.isfinite(target).all()):
@@ -218,8 +215,8 @@ def fitted(values: FloatArray, target: FloatArray) -> Fit:
         # Standard deviation of least squares: root of the diagonal of the
         # inverse normal matrix times the variance that is left.
         deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
-        share = deviation / (np.abs(found) + tiny)
-        return Fit(found / norm, share, rest / (float(np.square(target).sum()) + tiny))
+        share = deviation / (np.abs(found) + TINY)
+        return Fit(found / norm, share, rest / (float(np.square(target).sum()) + TINY))
 
 
 def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -> float:
@@ -243,7 +240,7 @@ def _more_without(columns: FloatArray, goals: FloatArray, size: FloatArray) -> t
     diagonal = np.arange(columns.shape[2])
     pivots = triangle[:, diagonal, diagonal]
     # A column that others make up has a pivot of rounding, or of zero; the inverse has to exist.
-    triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < ROUNDING, ROUNDING, pivots)
+    triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < LEAST_PIVOT, LEAST_PIVOT, pivots)
     inverse = np.linalg.inv(triangle)
     along = np.einsum("nij,ni->nj", axes, goals)
     found = np.einsum("nij,nj->ni", inverse, along)
@@ -256,7 +253,7 @@ def _more_without(columns: FloatArray, goals: FloatArray, size: FloatArray) -> t
 
 def _without_needless(values: FloatArray, target: FloatArray, chosen: list[int]) -> list[int]:
     limit = max(NEEDLESS, 10.0 * unexplained(values, target, chosen))
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    size = np.square(target).sum(axis=1) + TINY
     while len(chosen) > 1:
         _, more = _more_without(values[..., chosen], target, size)
         least = int(np.argmin(more))

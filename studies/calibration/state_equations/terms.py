@@ -17,12 +17,15 @@ from simulation.arrays import FloatArray, IntArray
 from studies.calibration.state_equations.states import StateSignals
 
 # Terms are chosen by so many rows, at so many times.
-N_ROWS, N_TIMES = 8, 400
+N_CHOICE_ROWS, N_CHOICE_TIMES = 8, 400
 DIMENSIONLESS, TEMPERATURE, ANGLE = ("", "1"), "K", ("", "1", "rad")
 # Products beyond are not looked at.
 # Among hundreds of terms some fit nearly any signal that
 # moves little (docs/notes/state-equations.md, Whole powers).
 MOST_CANDIDATES = 800
+
+# Added to a size that is divided by: the smallest number with all digits.
+TINY = float(np.finfo(float).tiny)
 
 # Exponentials and saturations are missing, as their places are parameters (the same note, Functions and
 # compiled steps). Functions have the sign of their argument where a flow turns with its difference.
