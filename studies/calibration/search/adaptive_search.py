@@ -362,7 +362,8 @@ class AdaptiveSearch:
     @property
     def _is_sure(self) -> bool:
         """Whether state equations are known exactly, and predicted a row that they had proposed."""
-        return self._ode is not None and self._ode.is_sure and self._ode.n_asked > 0
+        # Equations that were given up are asked no more: a search that took them for sure simulated nothing.
+        return self._believed is not None and self._believed.is_sure and self._believed.n_asked > 0
 
     @property
     def _ftol(self) -> float:

@@ -23,7 +23,7 @@ def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
         u = (cells + rng.random((n, p))) / n
         distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
         # Maximin distance (Johnson, Moore and Ylvisaker 1990, doi:10.1016/0378-3758(90)90122-B).
-        least = float(distances[~np.eye(n, dtype=np.bool_)].min())
+        least = float(distances[~np.eye(n, dtype=np.bool_)].min(initial=np.inf))
         if least > widest:
             chosen, widest = u, least
     return chosen
