@@ -7,35 +7,41 @@ from studies.calibration.box_newton import Expansion
 from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.processes.posterior_sample import PosteriorSample
 from studies.calibration.processes.process import ResidualProcess
-from studies.calibration.search.constants import SEARCH
 from studies.calibration.search.failures import Penalty
+from studies.calibration.search.rows import Incumbent
+
+# Part of the predictive variance that counts as error: 0 trusts the surrogate's mean. By hand.
+CAUTION = 0.1
+# A point is surely no better if it is expected above the first part of the best error, with a variance below
+# the second part of it. By definition of a right answer, 1.02 times the best error; by hand.
+AS_GOOD, UNCERTAIN = 0.98, 0.1
+# Part of the error by which a surrogate that knows a local minimum does not err
+# (docs/notes/adaptive-search.md, Truncated windows).
+SURPRISE = 0.1
 
 Surrogate = ResidualProcess | ProcessGroups
 
 
 def expected_objective(
-    process: Surrogate | PosteriorSample, prior: Penalty | None, u: FloatArray, caution: float
+    surrogate: Surrogate | PosteriorSample, penalty: Penalty | None, u: FloatArray, caution: float
 ) -> Expansion:
-    """Expand the objective around a point: the error is predicted, a prior's penalty is known."""
-    found = process.expand(u, caution)
-    return found if prior is None else found + prior.expand(u)
+    """Expand the objective around a point: the error is predicted, a penalty is known."""
+    expansion = surrogate.expand(u, caution)
+    return expansion if penalty is None else expansion + penalty.expand(u)
 
 
-def is_surely_no_better(
-    process: Surrogate, u: FloatArray, expected: Expansion, best: float, outlying: float = 0.0
-) -> bool:
-    """Return whether a point is not worth a call: the best row is as good, as far as can be predicted.
+def is_surely_no_better(surrogate: Surrogate, u: FloatArray, expected: Expansion, best: Incumbent) -> bool:
+    """Return whether a point is not worth a call: the best one is as good, as far as can be predicted.
 
     Args:
-        process: The surrogate.
+        surrogate: The surrogate.
         u: The point. Shape (p,). [1]
         expected: The objective expected there.
-        best: Objective of the best row. [unit squared]
-        outlying: Its largest samples' part, without which gains are measured. [unit squared]
+        best: The best simulation.
     """
-    there, rest = process.expand(u, 1.0), best - outlying
-    is_known = there.value - there.mse < SEARCH.uncertain * rest
-    return is_known and expected.value - outlying > SEARCH.as_good * rest
+    there = surrogate.expand(u, 1.0)
+    is_known = there.value - there.mse < UNCERTAIN * best.rest
+    return is_known and expected.value - best.outlying > AS_GOOD * best.rest
 
 
 def is_surprised(found: float, predicted: float, favourite: float, best: float) -> bool:
@@ -51,6 +57,6 @@ def is_surprised(found: float, predicted: float, favourite: float, best: float) 
     """
     # A failed row shows no error of the prediction; a point much
     # worse than the favourite was asked because that one is known.
-    if not np.isfinite(found) or predicted > (1.0 + SEARCH.surprise) * favourite:
+    if not np.isfinite(found) or predicted > (1.0 + SURPRISE) * favourite:
         found = predicted
-    return max(found - predicted, favourite - best) > SEARCH.surprise * max(best, predicted)
+    return max(found - predicted, favourite - best) > SURPRISE * max(best, predicted)

@@ -16,7 +16,11 @@ from studies.calibration.box_newton import Expansion
 from studies.calibration.prior import Prior
 from studies.calibration.processes.kernel import Belief, most_probable
 from studies.calibration.processes.process import Components, Features, ResidualProcess
-from studies.calibration.search.constants import SEARCH
+
+# Expected share of failures from which a place is penalized, and the penalty where all fail, in objectives of
+# the simulation that a step begins at. Penalized from 0.5 on, 32 % of the calls failed instead of 24 %
+# (docs/notes/adaptive-search.md, Failed simulations).
+FAILED_SHARE, FAILED_WEIGHT = 0.3, 10.0
 
 
 class Penalty(Protocol):
@@ -82,7 +86,7 @@ class Failures:
         slope = dk.T @ self.process.coefficients[:, 0]
         # Penalized from 0.5 on, 32 % of the calls failed instead of
         # 24 % (docs/notes/adaptive-search.md, Failed simulations).
-        excess = share - SEARCH.failed_share
+        excess = share - FAILED_SHARE
         return (excess, slope) if excess > 0.0 else (0.0, np.zeros_like(slope))
 
     def penalty(self, u: FloatArray) -> FloatArray:
@@ -92,7 +96,7 @@ class Failures:
     def expand(self, u: FloatArray) -> Expansion:
         """Expand the penalty around a point (p,)."""
         share, slope = self.expected(u)
-        weight = self.scale * SEARCH.failed_weight
+        weight = self.scale * FAILED_WEIGHT
         # A square begins with slope zero, so that Newton steps see no kink at the edge.
         curvature = 2.0 * weight * np.outer(slope, slope)
         found = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)

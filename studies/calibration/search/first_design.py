@@ -3,8 +3,12 @@
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.restart import inside
+
+# Decimals of the unit cube to which points are rounded: should the last bits of the linear algebra
+# differ, the points do not, and a store finds their simulations again.
+DECIMALS = 5
+# Part of each coordinate's range that the first design and random places leave out at both ends. By hand.
+MARGIN = 0.15
 
 # Latin hypercubes that are compared; by hand.
 N_DESIGNS = 200
@@ -12,7 +16,12 @@ N_DESIGNS = 200
 
 def first_points(n: int, p: int, rng: np.random.Generator) -> FloatArray:
     """Return what an adaptive calibration begins with, away from the edges of the box. Shape (n, p). [1]."""
-    return np.round(inside(latin_hypercube(n, p, rng)), SEARCH.decimals)
+    return np.round(inside(latin_hypercube(n, p, rng)), DECIMALS)
+
+
+def inside(u: FloatArray) -> FloatArray:
+    """Return points of the unit cube moved into the part of it that a margin leaves."""
+    return MARGIN + (1.0 - 2.0 * MARGIN) * u
 
 
 def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:

@@ -13,12 +13,19 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import SAME_POINT, Expansion, descend
 from studies.calibration.processes.groups import ProcessGroups
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.expected_objective import expected_objective
+from studies.calibration.search.expected_objective import CAUTION, expected_objective
 from studies.calibration.search.failures import Penalty
 
+# Descents on the surrogate per point, the first from the centre. By hand.
+N_DESCENTS = 3
+# Places may be as good whose objective is expected to be greater by this part, in the mean of random ones and
+# at most (docs/notes/adaptive-search.md, Rounds of several points).
+SPREAD, MOST_SPREAD = 0.02, 0.06
+# Places among which the informative points of a round are chosen. By hand.
+N_PLACES = 200
+
 # Relative to the greatest variance: below, two points carry the same information.
-LEAST_VARIANCE = 1e-6
+SAME_INFORMATION = 1e-6
 LEAST_CURVATURE = 1e-8  # relative to the sum of all
 
 
@@ -71,7 +78,7 @@ def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> 
     for rank in range(n):
         lower, upper = surroundings.box(min(surroundings.radius * (1.0, 0.5, 2.0)[rank % 3], 1.0))
         # Half decades, by turns less and more than the favourite's: a round has bold and careful points.
-        caution = float(SEARCH.caution * 10.0 ** (0.5 * ((rank + 1) // 2) * (-1.0) ** rank))
+        caution = float(CAUTION * 10.0 ** (0.5 * ((rank + 1) // 2) * (-1.0) ** rank))
         # Descents from the next best rows cost 3 to 9 % more calls
         # (docs/notes/adaptive-search.md, Rounds of several points).
         starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
@@ -112,21 +119,21 @@ def informative(
     objective = float(surroundings.objectives(surroundings.centre[None])[0])
     # Of steps drawn with this variance times the inverse of the curvature the mean costs `spread`.
     # Draws of 10 % and of 0.5 % gained no more (docs/notes/adaptive-search.md, Rounds of several points).
-    variance = 2.0 * SEARCH.spread * objective / p
+    variance = 2.0 * SPREAD * objective / p
     # At an error of zero rounding may make the curvature indefinite.
     ridge = max(variance / surroundings.radius**2, LEAST_CURVATURE * np.trace(favourite.hessian))
     ridge += np.finfo(float).tiny
     factor = np.linalg.cholesky(favourite.hessian + ridge * np.eye(p))
-    n_places = max(SEARCH.n_places, 2 * n)
+    n_places = max(N_PLACES, 2 * n)
     # The factor's inverse times normal draws has the inverse curvature as covariance: no inverse is formed.
     steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, n_places))).T
     places = np.clip(asked[0] + steps, lower, upper)
     excess = surroundings.objectives(places) - favourite.value
     # A tenth of the places remains where all are expected to be worse.
     n_least = max(n, n_places // 10)
-    places = places[excess <= max(SEARCH.most_spread * objective, float(np.sort(excess)[n_least - 1]))]
+    places = places[excess <= max(MOST_SPREAD * objective, float(np.sort(excess)[n_least - 1]))]
     left = surroundings.process.covariance(np.concatenate([asked, places]))
-    least = LEAST_VARIANCE * float(np.diag(left).max()) + np.finfo(float).tiny
+    least = SAME_INFORMATION * float(np.diag(left).max()) + np.finfo(float).tiny
     # Points of the same round count as simulated first: what they will show is not asked for twice.
     order = list(range(len(asked)))
     for rank in range(len(asked) + n):
