@@ -7,12 +7,12 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
 
-# Damped steps from all starts together.
+# Damped steps from all starts together. By hand.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 # Damping relative to the curvature, as is usual for Levenberg-Marquardt; by hand.
-FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
+DAMPING_AT_FIRST, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
 # Relative gain that ends a walk.
-FTOL = 1e-5
+LEAST_GAIN = 1e-5
 
 Residuals = Callable[[FloatArray], FloatArray]
 """Points (n, p) to residuals (n, m), not finite where nothing is known."""
@@ -72,7 +72,7 @@ def descend_together(
     k, p = u.shape
     here = residuals(u)
     values = objectives(prior, u, here)
-    damping = np.full(k, FIRST_DAMPING)
+    damping = np.full(k, DAMPING_AT_FIRST)
     is_open = np.isfinite(values)
     jacobian = np.zeros((k, here.shape[1], p))
     is_stale = is_open.copy()
@@ -96,13 +96,40 @@ def descend_together(
         is_lower = found < values[walks]
         gain = np.where(is_lower, values[walks] - found, 0.0)
         lower, higher = walks[is_lower], walks[~is_lower]
-        is_open[lower] = gain[is_lower] > FTOL * values[lower]
+        is_open[lower] = gain[is_lower] > LEAST_GAIN * values[lower]
         u[lower], here[lower], values[lower] = trial[is_lower], answers[is_lower], found[is_lower]
         is_stale[lower] = True
         damping[lower] *= EASIER
         damping[higher] *= HARDER
         is_open[higher] = damping[higher] < HOPELESS
     return u, values
+
+
+def descend_from_best(
+    residuals: Residuals,
+    prior: Prior | None,
+    looks: tuple[FloatArray, FloatArray],
+    n_looks: int,
+    others: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Walk downhill from the best of many points, and from others.
+
+    Args:
+        residuals: The function.
+        prior: Of the parameters, None where nothing is known.
+        looks: Points, shape (n, p) [1], and how low each is, shape (n,).
+        n_looks: How many of these, the lowest ones, are walked from.
+        others: Points of which all are. Shape (k, p). [1]
+
+    Returns:
+        Where the walks end, the lowest first, shape (k + n_looks, p) [1], and the objectives there. [unit
+        squared]
+    """
+    points, values = looks
+    lowest = points[np.argsort(values, kind="stable")[:n_looks]]
+    ends, found = descend_together(residuals, prior, np.concatenate([others, lowest]))
+    order = np.argsort(found, kind="stable")
+    return ends[order], found[order]
 
 
 # A step that overflows leads nowhere.

@@ -20,12 +20,12 @@ N_ALIKE = 40.0
 # to the last by a factor per step.
 COST, WIDE, NARROW, NARROWER = 2.0, 0.5, 0.1, 0.965
 # The scaled misfit that rows are weighed by, at first and at least, and by how much it falls in a step.
-FIRST, LEAST, FALL = 5.0, 1e-7, 0.7
+FIRST, LEAST_NOISE, FALL = 5.0, 1e-7, 0.7
 # Damping as is usual for Levenberg-Marquardt; by hand.
-DAMPING, EASIEST, EASIER, HARDER = 1.0, 1e-9, 0.2, 2.0
+DAMPING, EASIEST, EASIER, HARDER_AT_FIRST = 1.0, 1e-9, 0.2, 2.0
 N_TRIALS = 10  # attempts of a step
 # Steps of a constant beyond which a step is shortened, and part of a step at which its bend is measured.
-MOST_STEP, PART = 3.0, 0.1
+MOST_CHANGE, PART = 3.0, 0.1
 # A step bends too much where its correction is this part of it (Transtrum and Sethna 2012, arXiv:1201.5885).
 BENT = 0.75
 # A fit ends after so many steps in a row that gain less than this in the logarithm of the probability.
@@ -169,7 +169,7 @@ def improved(fit: Fit, u: FloatArray, y: FloatArray, share: FloatArray, n_steps:
     misfit, slopes = rows.linearised(network)
     for _ in range(n_steps):
         width = max(width * NARROWER, NARROW)
-        noise = max(rows.size(misfit), FALL * noise, LEAST)
+        noise = max(rows.size(misfit), FALL * noise, LEAST_NOISE)
         quadratic = _Quadratic.around(network, noise, width)
         found = _step(network, rows, quadratic, misfit, slopes, damping)
         if found is None:
@@ -196,7 +196,7 @@ def _step(
     curvature = quadratic.curvature(slopes, features)
     by_weights = np.einsum("rte,rt->re", slopes, misfit).T @ features
     slope, before = quadratic.slope(weights, by_weights)[is_free], quadratic.value(weights, misfit)
-    places, harder = np.diag_indices(slope.size), HARDER
+    places, harder = np.diag_indices(slope.size), HARDER_AT_FIRST
     straight, turn = np.zeros_like(weights), np.zeros_like(weights)
     for _ in range(N_TRIALS):
         damped = curvature.copy()
@@ -212,7 +212,7 @@ def _step(
         size, bent = (float((form.precision * one**2).sum()) for one in (straight, turn))
         if bent <= BENT**2 * size:
             step = straight + 0.5 * turn
-            step *= min(1.0, MOST_STEP / float(np.abs(step[: form.n_elements, 0]).max()))
+            step *= min(1.0, MOST_CHANGE / float(np.abs(step[: form.n_elements, 0]).max()))
             after = replace(network, weights=weights + step)
             gain = before - quadratic.value(after.weights, rows.misfit(after))
             if gain > 0.0:

@@ -25,7 +25,7 @@ CAPACITIES, CONDUCTANCE, COUPLING, SPREAD = (1.0, 3.0, 2.0, 4.0, 0.0), -1.0, -4.
 # Standard deviations of a power, of a state at the start and its factors, and of the sum of powers of time.
 POWER, START, FACTOR, UNITS = 0.5, 10.0, 1.0, 0.05
 # Logarithms beyond which a rate is limited. Rounding.
-MOST = 25.0
+MOST_LOGARITHM = 25.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,9 @@ class Network:
         form, inputs = self.form, self.form.inputs
         values = features @ self.weights.T
         logarithms, start = values[:, : form.n_elements], values[:, form.n_elements :]
-        rates = np.exp(np.clip(logarithms @ form.makes.T, -MOST, np.log(MOST / inputs.step)))
+        rates = np.exp(
+            np.clip(logarithms @ form.makes.T, -MOST_LOGARITHM, np.log(MOST_LOGARITHM / inputs.step))
+        )
         potentials = (inputs.potentials - self.level) * self.unit
         y, slopes = steps(
             np.ascontiguousarray(start), rates, form.places, potentials, inputs.sources, inputs.pattern,

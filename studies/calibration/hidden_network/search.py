@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.box_newton import SAME_POINT
-from studies.calibration.descent import descend_together, objectives
+from studies.calibration.descent import descend_from_best, objectives
 from studies.calibration.hidden_network.fit import Fit, first_guess, improved
 from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.model import SCALE, Network, NetworkForm
@@ -17,23 +17,23 @@ from studies.calibration.problem import CalibrationProblem, Evaluation
 # Most steps of the first fit, in parts, and of each later one; shares of the outputs' standard deviation that
 # it may leave unexplained after the first part and at last.
 FIRST_STEPS, LATER_STEPS = (20, 25), 15
-EXPLAINED = (0.15, 0.03)  # those shares
+MOST_UNEXPLAINED = (0.15, 0.03)  # those shares
 # Latest rows that are fitted: the best and the last ones are among them.
-MOST_ROWS = 48
+MOST_FITTED = 48
 # Points that are looked at, and how many of the best of them, beside best rows and last ends, are walked
 # downhill.
 N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 16, 2, 2
 # A row whose error is so many times the best counts half, in all fits but the first.
-FAR = 30.0
+HALF_COUNTED = 30.0
 # It proposes where it expects to gain this part of the best error.
-LITTLE = 0.003
+WORTH_A_ROUND = 0.003
 # After a round without gain a point costs its squared distance to the best row, times this part of the best
 # error; the next such round raises the part by a factor, and a gain lowers it.
 NEAR, NEARER = 0.3, 4.0
 # Rounds without gain after which it gives up.
 N_VAIN = 6
 # Beside points that are known, others are drawn so far away. [1]
-BESIDE = 0.05
+NEARBY = 0.05
 
 
 class HiddenNetwork:
@@ -68,7 +68,7 @@ class HiddenNetwork:
         """
         good = np.isfinite(answer.objective)
         best = float(self._objective.min(initial=np.inf))
-        is_gain = bool((answer.objective < (1.0 - LITTLE) * best).any())
+        is_gain = bool((answer.objective < (1.0 - WORTH_A_ROUND) * best).any())
         if self._n_proposed:
             self._n_vain = 0 if is_gain else self._n_vain + 1
             nearer = max(NEARER * self._nearness, NEAR)
@@ -88,9 +88,9 @@ class HiddenNetwork:
         p = self._u.shape[1]
         looks = self._rng.random((N_LOOKS, p))
         prior = self._problem.prior
-        best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
+        seen = looks, objectives(prior, looks, self._residuals(looks))
         rows = np.argsort(self._objective, kind="stable")[:N_ROWS]
-        starts = np.concatenate([self._u[rows], self._ends, looks[best]])
+        others = np.concatenate([self._u[rows], self._ends])
         home, best_yet = self._u[rows[0]], float(self._objective.min())
         cost = self._nearness * best_yet
 
@@ -101,18 +101,17 @@ class HiddenNetwork:
             whole = [residuals / np.sqrt(m), np.sqrt(cost) * (u - home)]
             return np.asarray(np.concatenate(whole, axis=1) * np.sqrt(m + p))
 
-        ends, values = descend_together(with_distance, prior, starts)
-        order = np.argsort(values, kind="stable")
-        self._ends = ends[order[:N_ENDS]]
+        ends, values = descend_from_best(with_distance, prior, seen, N_RANDOM, others)
+        self._ends = ends[:N_ENDS]
         points = np.empty((0, p))
-        for end, value in zip(ends[order], values[order], strict=True):
+        for end, value in zip(ends, values, strict=True):
             distance = np.abs(np.concatenate([self._u, points]) - end).max(axis=1).min()
-            is_better = value < (1.0 - LITTLE) * best_yet and distance > SAME_POINT
+            is_better = value < (1.0 - WORTH_A_ROUND) * best_yet and distance > SAME_POINT
             if len(points) < n and is_better:
                 points = np.concatenate([points, end[None]])
         if not len(points):
             return None
-        beside = self._rng.uniform(-BESIDE, BESIDE, (n - len(points), p))
+        beside = self._rng.uniform(-NEARBY, NEARBY, (n - len(points), p))
         self._n_proposed += 1
         return np.asarray(np.clip(np.concatenate([points, points[0] + beside]), 0.0, 1.0))
 
@@ -121,15 +120,15 @@ class HiddenNetwork:
         rows = self._chosen_rows()
         u, y = self._u[rows], self._y[rows]
         if self._fit is not None:
-            share = 1.0 / (1.0 + self._objective[rows] / (FAR * self._objective.min()))
+            share = 1.0 / (1.0 + self._objective[rows] / (HALF_COUNTED * self._objective.min()))
             self._fit = improved(self._fit, u, y, share, LATER_STEPS)
-            return bool(self._fit.misfit <= EXPLAINED[0] * SCALE)
+            return bool(self._fit.misfit <= MOST_UNEXPLAINED[0] * SCALE)
         deviation = float(y.std()) if len(y) else 0.0
         if deviation == 0.0:
             return False
         network = Network(self._form, self._form.mean, float(y[..., 0].mean()), SCALE / deviation)
         fit = first_guess(network, self._rng)
-        for n_steps, share in zip(FIRST_STEPS, EXPLAINED, strict=True):
+        for n_steps, share in zip(FIRST_STEPS, MOST_UNEXPLAINED, strict=True):
             fit = improved(fit, u, y, np.ones(len(u)), n_steps)
             if not fit.misfit <= share * SCALE:
                 return False
@@ -139,10 +138,10 @@ class HiddenNetwork:
     def _chosen_rows(self) -> IntArray:
         """Return the positions of the best rows and the last ones."""
         n = len(self._u)
-        if n <= MOST_ROWS:
+        if n <= MOST_FITTED:
             return np.arange(n)
-        best = np.argsort(self._objective, kind="stable")[: MOST_ROWS // 2]
-        return np.asarray(np.union1d(best, np.arange(n - MOST_ROWS // 2, n)), dtype=np.int64)
+        best = np.argsort(self._objective, kind="stable")[: MOST_FITTED // 2]
+        return np.asarray(np.union1d(best, np.arange(n - MOST_FITTED // 2, n)), dtype=np.int64)
 
     def _residuals(self, u: FloatArray) -> FloatArray:
         """Return the residuals by the network at points (n, p). Shape (n, m). [first output's unit]."""

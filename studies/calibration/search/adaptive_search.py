@@ -6,22 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from studies.calibration.search import ending
+from studies.calibration.search import ending, moves
 from studies.calibration.search.ending import Ending
 from studies.calibration.search.first_design import first_points
-from studies.calibration.search.moves import (
-    adapt_window,
-    ask_anywhere,
-    ask_first,
-    ask_rest,
-    compare_beside,
-    double_window,
-    probe,
-    test,
-    turn,
-)
 from studies.calibration.search.search_phase import STAGNANT_ROUNDS
-from studies.calibration.search.search_round import ask_by_equations, search_round
 from studies.calibration.search.search_state import SearchState
 from studies.calibration.state_equations.learned_ode import LearnedODE
 
@@ -44,7 +32,7 @@ def run(state: SearchState) -> Ending:
     rows = state.rows
     n_design = rows.n_first - rows.n_known
     if n_design and state.equations.believed is None:
-        ask_first(state, first_points(n_design, rows.u.shape[1], state.rng))
+        moves.ask_first(state, first_points(n_design, rows.u.shape[1], state.rng))
     while True:
         try:
             move = next_move(state)
@@ -53,7 +41,7 @@ def run(state: SearchState) -> Ending:
             move(state)
         # Simulations that no surrogate can be fitted to: others may show more.
         except np.linalg.LinAlgError:
-            ask_anywhere(state)
+            moves.ask_anywhere(state)
 
 
 def next_move(state: SearchState) -> Move | Ending:
@@ -67,12 +55,12 @@ def next_move(state: SearchState) -> Move | Ending:
     ode = equations.believed
     # What equations have left of the first design is asked once they are not believed.
     if len(state.unasked) and ode is None:
-        return ask_rest
+        return moves.ask_rest
     n_good = rows.good.sum()
     # A process needs two simulations that succeeded.
     if n_good < 2 and ode is None:
-        return ask_anywhere
-    go_on = search_round if n_good > 1 or ode is None else partial(ask_by_equations, ode=ode)
+        return moves.ask_anywhere
+    go_on = moves.search_round if n_good > 1 or ode is None else partial(moves.ask_by_equations, ode=ode)
     if not n_good:
         return go_on
     if state.network is not None:
@@ -81,9 +69,9 @@ def next_move(state: SearchState) -> Move | Ending:
         if points is not None:
             return partial(SearchState.ask, u=points)
         state.network = None
-    adapt_window(state)
+    moves.adapt_window(state)
     if state.fits_exactly:
-        return compare_beside if _needs_slopes(state) else ending.exact(state)
+        return moves.compare_beside if _needs_slopes(state) else ending.exact(state)
     if not _phase_is_over(state):
         return go_on
     is_narrow = not rows.window.is_whole
@@ -92,15 +80,15 @@ def next_move(state: SearchState) -> Move | Ending:
         and state.is_at_best
         and (state.confirmation.n_restarts > 0 or rows.unexplained <= NEARLY_EXPLAINED)
     ):
-        return double_window
+        return moves.double_window
     if ode is not None:
-        return (_beyond_rows(state, ode) or ending.by_equations(state)) if state.is_at_best else turn
+        return (_beyond_rows(state, ode) or ending.by_equations(state)) if state.is_at_best else moves.turn
     if state.has_settled:
         if not state.confirmation.is_tested:
-            return test
+            return moves.test
         if state.may_end:
             return ending.confirmed(state)
-    return turn
+    return moves.turn
 
 
 def _needs_slopes(state: SearchState) -> bool:
@@ -130,8 +118,8 @@ def _beyond_rows(state: SearchState, ode: LearnedODE) -> Move | None:
     # Two signs of a part of the model that no simulation has shown (docs/notes/state-equations.md, Ranges
     # that no row has shown): an error too large for the sensor, and parameters in no equation.
     if is_open and (state.is_too_large or ode.left_out.any()):
-        return partial(probe, ode=ode, n=n)
+        return partial(moves.probe, ode=ode, n=n)
     if state.is_too_large and len(state.unasked):
         state.phase.n_idle = 0
-        return ask_rest
+        return moves.ask_rest
     return None

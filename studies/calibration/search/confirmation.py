@@ -36,7 +36,7 @@ RESTARTS_OWED_TO_ONE = 1
 # Convergence).
 MOST_RESTARTS = 8
 # A test is worth a call where the error may be this part of the best: a right answer, 1.02 times.
-WORTH = 0.98
+WORTH_A_TEST = 0.98
 # Residuals that vary independently where an error's variance is estimated: few, as few directions within the
 # bounds are left unknown. By hand.
 N_INDEPENDENT_ERRORS = 2.0
@@ -146,7 +146,7 @@ def least_unlikely(
     values = np.array([there.value for _, there in ends]).reshape(N_DRAWN, 2)
     gains = 1.0 - (values.min(axis=1) - best.outlying) / best.rest
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
-    wanted = WORTH * best.rest + best.outlying
+    wanted = WORTH_A_TEST * best.rest + best.outlying
     scores = np.array([_unlikely(process, prior, place, wanted) for place in places])
     # Where the nearest row failed, the next one probably fails as well.
     # They come after all others, in the order among themselves.
@@ -159,8 +159,7 @@ def least_unlikely(
 
 def _unlikely(process: ProcessGroups, prior: Penalty | None, u: FloatArray, wanted: float) -> float:
     """Return by how many deviations the error is expected to lie above a wanted one."""
-    mean = expected_objective(process, prior, u, 0.0).value
-    whole = expected_objective(process, prior, u, 1.0).value
+    mean, whole = (expected_objective(process, prior, u, caution).value for caution in (0.0, 1.0))
     variance = max(whole - mean, 0.0)
     # A mean of n squares of normal values is noncentral chi-squared: its variance is 2 v (v + 2 m) / n.
     deviation = np.sqrt(2.0 * variance * (variance + 2.0 * mean) / N_INDEPENDENT_ERRORS)

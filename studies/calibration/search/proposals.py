@@ -20,7 +20,7 @@ from studies.calibration.search.failures import Penalty
 N_DESCENTS = 3
 # Places may be as good whose objective is expected to be greater by this part, in the mean of random ones and
 # at most (docs/notes/adaptive-search.md, Rounds of several points).
-SPREAD, MOST_SPREAD = 0.02, 0.06
+MEAN_SPREAD, MOST_SPREAD = 0.02, 0.06
 # Places among which the informative points of a round are chosen. By hand.
 N_PLACES = 200
 
@@ -119,7 +119,7 @@ def informative(
     objective = float(surroundings.objectives(surroundings.centre[None])[0])
     # Of steps drawn with this variance times the inverse of the curvature the mean costs `spread`.
     # Draws of 10 % and of 0.5 % gained no more (docs/notes/adaptive-search.md, Rounds of several points).
-    variance = 2.0 * SPREAD * objective / p
+    variance = 2.0 * MEAN_SPREAD * objective / p
     # At an error of zero rounding may make the curvature indefinite.
     ridge = max(variance / surroundings.radius**2, LEAST_CURVATURE * np.trace(favourite.hessian))
     ridge += np.finfo(float).tiny

@@ -21,7 +21,7 @@ from studies.calibration.state_equations.learned_ode import LearnedODE
 
 # Share of the measured variance that an exact fit leaves at most
 # (docs/notes/adaptive-search.md, Convergence).
-EXACT = 1e-8
+EXACT_FIT = 1e-8
 
 
 class SearchState:
@@ -91,6 +91,12 @@ class SearchState:
         for learner in (self.equations.ode, self.network):
             if learner is not None:
                 learner.note(answer)
+
+    def stay(self, expected_gain: float) -> None:
+        """Make a round without a simulation: none is worth its call. [1]."""
+        self.expected_gain = expected_gain
+        self.phase.n_idle += 1
+        self.equations.forget_proposal()
 
     def begin_again(self) -> None:
         """Judge all simulations by a window that has changed, and begin a search phase at the best."""
@@ -170,4 +176,4 @@ class SearchState:
         if has_other_aim or not self.rows.window.is_whole:
             return False
         # Of a measurement that never varies all is explained.
-        return self.recorder.best_mse == 0.0 or 0.0 < self.rows.unexplained <= EXACT
+        return self.recorder.best_mse == 0.0 or 0.0 < self.rows.unexplained <= EXACT_FIT
