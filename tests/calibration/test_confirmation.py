@@ -18,6 +18,7 @@ from studies.calibration.search.confirmation import (
     least_unlikely,
 )
 from studies.calibration.search.ending import after_tests, still_owed
+from studies.calibration.search.expected_objective import ExpectedObjective
 from studies.calibration.search.rows import Incumbent
 
 FEATURES = Features.of(ToyRC().parameter_space)
@@ -45,7 +46,7 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     lowest = int(mse.argmin())
     best = Incumbent(lowest, u[lowest], float(mse[lowest]))
     rng = np.random.default_rng(1)
-    _, away = least_unlikely(process, None, best, (u, np.ones(40, dtype=np.bool_)), 1, rng)
+    _, away = least_unlikely(ExpectedObjective(process), best, (u, np.ones(40, dtype=np.bool_)), 1, rng)
     assert np.median(away) > PROMISED
     problem = rc_problem(noise=0.05)
     at = LeastSquaresTRF().minimize(problem, problem.space.to_unit(TRUE_RC)).u
@@ -54,7 +55,7 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     u = np.concatenate([rng.random((30, 2)), around, at[None]])
     process = ProcessGroups.fit(FEATURES, u, problem.residuals(u))
     best, rows = Incumbent(40, at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
-    _, gains = least_unlikely(process, None, best, rows, 1, rng)
+    _, gains = least_unlikely(ExpectedObjective(process), best, rows, 1, rng)
     assert np.median(gains) < PROMISED
 
 

@@ -8,16 +8,12 @@ has converged where these minima lie hardly lower than the best simulation.
 """
 
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.box_newton import descend
-from studies.calibration.processes.groups import ProcessGroups
-from studies.calibration.processes.posterior_sample import PosteriorSample
-from studies.calibration.search.expected_objective import expected_objective
-from studies.calibration.search.failures import Penalty
+from studies.calibration.search.expected_objective import ExpectedObjective
 from studies.calibration.search.restart import first_apart
 from studies.calibration.search.rows import Incumbent
 
@@ -110,8 +106,7 @@ class Confirmation:
 
 
 def least_unlikely(
-    process: ProcessGroups,
-    prior: Penalty | None,
+    objective: ExpectedObjective,
     best: Incumbent,
     rows: tuple[FloatArray, BoolArray],
     n: int,
@@ -120,8 +115,7 @@ def least_unlikely(
     """Return the places where an error worth having is least unlikely, and what the functions promise.
 
     Args:
-        process: The surrogate.
-        prior: What is added to the error, None for nothing.
+        objective: What is expected.
         best: The best simulation.
         rows: The points of all simulations, shape (m, p) [1], and which of them succeeded, shape (m,).
         n: How many places, each beyond `known` of the others as far as there are such.
@@ -135,19 +129,18 @@ def least_unlikely(
     p = best.u.size
     ends = []
     for anywhere in rng.random((N_DRAWN, p)):
-        sample = PosteriorSample.draw(process, rng)
-        expand = partial(expected_objective, sample, prior, caution=0.0)
+        drawn = objective.drawn(rng)
         # From random points alone none came near an oscillator's valley: a search "converged"
         # at 1.065 times (docs/notes/adaptive-search.md, Convergence, later in version 0.3).
         for start in (anywhere, best.u):
             # Another valley, and what the rows leave open of this one.
-            ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=ROUGH))
+            ends.append(descend(drawn, start, np.zeros(p), np.ones(p), ftol=ROUGH))
     places = np.array([place for place, _ in ends])
     values = np.array([there.value for _, there in ends]).reshape(N_DRAWN, 2)
     gains = 1.0 - (values.min(axis=1) - best.outlying) / best.rest
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
     wanted = WORTH_A_TEST * best.rest + best.outlying
-    scores = np.array([_unlikely(process, prior, place, wanted) for place in places])
+    scores = np.array([_unlikely(objective, place, wanted) for place in places])
     # Where the nearest row failed, the next one probably fails as well.
     # They come after all others, in the order among themselves.
     scores[~good[np.argmin(distances, axis=1)]] += np.ptp(scores) + 1.0
@@ -157,9 +150,9 @@ def least_unlikely(
     return np.concatenate([found, rng.random((n - len(found), p))]), gains
 
 
-def _unlikely(process: ProcessGroups, prior: Penalty | None, u: FloatArray, wanted: float) -> float:
+def _unlikely(objective: ExpectedObjective, u: FloatArray, wanted: float) -> float:
     """Return by how many deviations the error is expected to lie above a wanted one."""
-    mean, whole = (expected_objective(process, prior, u, caution).value for caution in (0.0, 1.0))
+    mean, whole = (objective.expand(u, caution).value for caution in (0.0, 1.0))
     variance = max(whole - mean, 0.0)
     # A mean of n squares of normal values is noncentral chi-squared: its variance is 2 v (v + 2 m) / n.
     deviation = np.sqrt(2.0 * variance * (variance + 2.0 * mean) / N_INDEPENDENT_ERRORS)

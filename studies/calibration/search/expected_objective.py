@@ -1,12 +1,14 @@
 """What a surrogate expects of the objective, and when it has erred."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import Expansion
 from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.processes.posterior_sample import PosteriorSample
-from studies.calibration.processes.process import ResidualProcess
 from studies.calibration.search.failures import Penalty
 from studies.calibration.search.rows import Incumbent
 
@@ -19,29 +21,47 @@ AS_GOOD, UNCERTAIN = 0.98, 0.1
 # (docs/notes/adaptive-search.md, Truncated windows).
 SURPRISE = 0.1
 
-Surrogate = ResidualProcess | ProcessGroups
 
+@dataclass(frozen=True, eq=False)
+class ExpectedObjective:
+    """What is minimized between two simulations: the error that processes predict, and a penalty.
 
-def expected_objective(
-    surrogate: Surrogate | PosteriorSample, penalty: Penalty | None, u: FloatArray, caution: float
-) -> Expansion:
-    """Expand the objective around a point: the error is predicted, a penalty is known."""
-    expansion = surrogate.expand(u, caution)
-    return expansion if penalty is None else expansion + penalty.expand(u)
-
-
-def is_surely_no_better(surrogate: Surrogate, u: FloatArray, expected: Expansion, best: Incumbent) -> bool:
-    """Return whether a point is not worth a call: the best one is as good, as far as can be predicted.
-
-    Args:
-        surrogate: The surrogate.
-        u: The point. Shape (p,). [1]
-        expected: The objective expected there.
-        best: The best simulation.
+    Attributes:
+        process: Predicts the error.
+        penalty: What a prior or failures add to it, None for nothing.
     """
-    there = surrogate.expand(u, 1.0)
-    is_known = there.value - there.mse < UNCERTAIN * best.rest
-    return is_known and expected.value - best.outlying > AS_GOOD * best.rest
+
+    process: ProcessGroups
+    penalty: Penalty | None = None
+
+    def expand(self, u: FloatArray, caution: float) -> Expansion:
+        """Expand it around a point (p,); caution is the part of the variance in it."""
+        return self._penalized(self.process.expand(u, caution), u)
+
+    def at(self, u: FloatArray) -> FloatArray:
+        """Return it at points (n, p) if the mean predictions are right. Shape (n,). [unit squared]."""
+        errors = self.process.errors(u)
+        return errors if self.penalty is None else errors + self.penalty.penalty(u)
+
+    def drawn(self, rng: np.random.Generator) -> Callable[[FloatArray], Expansion]:
+        """Return a function, drawn from the posterior, that may be the true objective."""
+        sample = PosteriorSample.draw(self.process, rng)
+        return lambda u: self._penalized(sample.expand(u), u)
+
+    def _penalized(self, error: Expansion, u: FloatArray) -> Expansion:
+        return error if self.penalty is None else error + self.penalty.expand(u)
+
+    def excludes(self, u: FloatArray, expected: Expansion, best: Incumbent) -> bool:
+        """Return whether a point is not worth a call: the best one is as good, as far as can be predicted.
+
+        Args:
+            u: The point. Shape (p,). [1]
+            expected: The objective expected there.
+            best: The best simulation.
+        """
+        there = self.process.expand(u, 1.0)
+        is_known = there.value - there.mse < UNCERTAIN * best.rest
+        return is_known and expected.value - best.outlying > AS_GOOD * best.rest
 
 
 def is_surprised(found: float, predicted: float, favourite: float, best: float) -> bool:

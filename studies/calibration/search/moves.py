@@ -1,21 +1,14 @@
 """The moves of a search: what it simulates next, and how its phase, window and tests change."""
 
 import math
-from functools import partial
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import Expansion
 from studies.calibration.differences import difference_rows, difference_slopes
-from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.search.confirmation import least_unlikely
-from studies.calibration.search.expected_objective import (
-    CAUTION,
-    expected_objective,
-    is_surely_no_better,
-    is_surprised,
-)
+from studies.calibration.search.expected_objective import CAUTION, ExpectedObjective, is_surprised
 from studies.calibration.search.proposals import N_DESCENTS, Surroundings, favourites, informative
 from studies.calibration.search.restart import farther_along, least_excluded
 from studies.calibration.search.rows import Incumbent
@@ -99,14 +92,11 @@ def probe(state: SearchState, ode: LearnedODE, n: int) -> None:
 
 def test(state: SearchState) -> None:
     """Ask where a lower error is least unlikely within all bounds; go on from what is better."""
-    rows, surrogates = state.rows, state.surrogates
+    rows = state.rows
     best, n = rows.best(), rows.n
     state.recorder.think_of("functions that may be lower at other points")
-    process = surrogates.fit(rows)
-    surrogates.weigh_failures(rows, best.objective)
-    places, gains = least_unlikely(
-        process, surrogates.penalty, best, (rows.u, rows.good), state.settings.n_parallel, state.rng
-    )
+    objective = state.surrogates.expected(rows, best.objective)
+    places, gains = least_unlikely(objective, best, (rows.u, rows.good), state.settings.n_parallel, state.rng)
     state.ask(places)
     if rows.lowest() - best.outlying < (1.0 - state.settings.ftol) * best.rest:
         state.phase = SearchPhase()
@@ -172,16 +162,14 @@ def ask_by_equations(state: SearchState, ode: LearnedODE) -> None:
 
 def search_round(state: SearchState) -> None:
     """Make one round of a search phase by the processes, or by state equations that are believed."""
-    rows, phase, surrogates = state.rows, state.phase, state.surrogates
-    equations = state.equations
-    process = surrogates.fit(rows)
+    rows, phase, equations = state.rows, state.phase, state.equations
     if phase.first == rows.n:
-        _restart(state, process)
+        _restart(state)
         return
     # A phase whose simulations have all failed goes on from the best one.
     best = rows.best(phase.first if np.isfinite(state.phase_best) else 0)
-    surrogates.weigh_failures(rows, best.objective)
-    points, expected = _proposed(state, process, best)
+    objective = state.surrogates.expected(rows, best.objective)
+    points, expected = _proposed(state, objective, best)
     promise, rest = best.objective - expected.value, best.rest
     share = promise / rest if rest > 0.0 else 0.0
     is_exact = equations.is_sure and promise <= state.least_gain * rest
@@ -198,7 +186,7 @@ def search_round(state: SearchState) -> None:
         has_come_back = np.abs(points[0] - home.u).max() < CAME_BACK
         # Near another local minimum, no call is spent where that is excluded already.
         is_end = has_come_back or not state.region.is_at_edge(step)
-        if is_end and is_surely_no_better(process, points[0], expected, home):
+        if is_end and objective.excludes(points[0], expected, home):
             turn(state)
             return
     predicted, n = equations.predicted, rows.n
@@ -209,7 +197,7 @@ def search_round(state: SearchState) -> None:
     state.region = state.region.after(step, objectives, gain, promise)
     state.expected_gain = share
     if predicted is None:
-        predicted = expected_objective(process, surrogates.penalty, points[0], CAUTION).value
+        predicted = objective.expand(points[0], CAUTION).value
     # A surrogate that errs at its favourite point ends no
     # search (docs/notes/adaptive-search.md, Truncated windows).
     first = float(objectives[0])
@@ -226,13 +214,11 @@ def search_round(state: SearchState) -> None:
     phase.lowest.append(state.phase_best)
 
 
-def _restart(state: SearchState, process: ProcessGroups) -> None:
+def _restart(state: SearchState) -> None:
     """Begin a search phase away from the best point, at one point for each parallel simulation."""
-    rows, surrogates = state.rows, state.surrogates
     state.recorder.think_of("another valley")
-    best = rows.best()
-    surrogates.weigh_failures(rows, best.objective)
-    expand = partial(expected_objective, process, surrogates.penalty)
+    best = state.rows.best()
+    expand = state.surrogates.expected(state.rows, best.objective).expand
     shape = (state.settings.n_parallel, best.u.size)
     if state.phase.is_far:
         state.ask(least_excluded(expand, best, shape, state.rng))
@@ -241,12 +227,14 @@ def _restart(state: SearchState, process: ProcessGroups) -> None:
     state.phase.lowest.append(state.phase_best)
 
 
-def _proposed(state: SearchState, process: ProcessGroups, best: Incumbent) -> tuple[FloatArray, Expansion]:
+def _proposed(
+    state: SearchState, objective: ExpectedObjective, best: Incumbent
+) -> tuple[FloatArray, Expansion]:
     """Return the points to simulate next, the favourite first, and what is expected of it."""
     rows, rng, q = state.rows, state.rng, state.settings.n_parallel
     # Near another local minimum, descents from random starts would lead back to the best of all.
     n_descents = 1 if state.phase.is_far and not state.is_at_best else N_DESCENTS
-    around = Surroundings(process, state.surrogates.penalty, best.u, state.region.radius, rows.u, n_descents)
+    around = Surroundings(objective, best.u, state.region.radius, rows.u, n_descents)
     if (ode := state.equations.believed) is not None:
         point, favourite = ode.propose(rows.objective, rows.u, rng)
         points = point[None]

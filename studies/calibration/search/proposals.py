@@ -12,9 +12,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import SAME_POINT, Expansion, descend
-from studies.calibration.processes.groups import ProcessGroups
-from studies.calibration.search.expected_objective import CAUTION, expected_objective
-from studies.calibration.search.failures import Penalty
+from studies.calibration.search.expected_objective import CAUTION, ExpectedObjective
 
 # Descents on the surrogate per point, the first from the centre. By hand.
 N_DESCENTS = 3
@@ -34,16 +32,14 @@ class Surroundings:
     """The trust region of a round and what is known there.
 
     Attributes:
-        process: The surrogate.
-        prior: What is added to the error, None for nothing.
+        objective: What is expected of it.
         centre: The row that the search phase goes on from. Shape (p,). [1]
         radius: Half width of the trust region. [1]
         known: Points that were simulated. Shape (n, p). [1]
         n_descents: Descents for a favourite, the first from the centre.
     """
 
-    process: ProcessGroups
-    prior: Penalty | None
+    objective: ExpectedObjective
     centre: FloatArray
     radius: float
     known: FloatArray
@@ -52,15 +48,6 @@ class Surroundings:
     def box(self, radius: float) -> tuple[FloatArray, FloatArray]:
         """Return the lower and upper corners within a half width of the centre. Shapes (p,)."""
         return np.maximum(self.centre - radius, 0.0), np.minimum(self.centre + radius, 1.0)
-
-    def expand(self, u: FloatArray, caution: float) -> Expansion:
-        """Expand the expected objective around a point; caution is the part of the variance in it."""
-        return expected_objective(self.process, self.prior, u, caution)
-
-    def objectives(self, u: FloatArray) -> FloatArray:
-        """Return the objectives at points (n, p) if the mean predictions are right. Shape (n,)."""
-        errors = self.process.errors(u)
-        return errors if self.prior is None else errors + self.prior.penalty(u)
 
 
 def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> tuple[FloatArray, Expansion]:
@@ -82,7 +69,7 @@ def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> 
         # Descents from the next best rows cost 3 to 9 % more calls
         # (docs/notes/adaptive-search.md, Rounds of several points).
         starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
-        expand = partial(surroundings.expand, caution=caution)
+        expand = partial(surroundings.objective.expand, caution=caution)
         ends = [descend(expand, start, lower, upper) for start in starts]
         u, expected = min(ends, key=lambda end: end[1].value)
         known = np.array([*surroundings.known, *points])
@@ -116,7 +103,8 @@ def informative(
         Shape (n, p). [1]
     """
     p, (lower, upper) = surroundings.centre.size, surroundings.box(surroundings.radius)
-    objective = float(surroundings.objectives(surroundings.centre[None])[0])
+    expected = surroundings.objective
+    objective = float(expected.at(surroundings.centre[None])[0])
     # Of steps drawn with this variance times the inverse of the curvature the mean costs `spread`.
     # Draws of 10 % and of 0.5 % gained no more (docs/notes/adaptive-search.md, Rounds of several points).
     variance = 2.0 * MEAN_SPREAD * objective / p
@@ -128,11 +116,11 @@ def informative(
     # The factor's inverse times normal draws has the inverse curvature as covariance: no inverse is formed.
     steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, n_places))).T
     places = np.clip(asked[0] + steps, lower, upper)
-    excess = surroundings.objectives(places) - favourite.value
+    excess = expected.at(places) - favourite.value
     # A tenth of the places remains where all are expected to be worse.
     n_least = max(n, n_places // 10)
     places = places[excess <= max(MOST_SPREAD * objective, float(np.sort(excess)[n_least - 1]))]
-    left = surroundings.process.covariance(np.concatenate([asked, places]))
+    left = expected.process.covariance(np.concatenate([asked, places]))
     least = SAME_INFORMATION * float(np.diag(left).max()) + np.finfo(float).tiny
     # Points of the same round count as simulated first: what they will show is not asked for twice.
     order = list(range(len(asked)))

@@ -7,7 +7,8 @@ from studies.calibration.growing_rows import GrowingBasis
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.processes.groups import Part, ProcessGroups, is_refitted
 from studies.calibration.processes.process import Features
-from studies.calibration.search.failures import Failures, Penalty
+from studies.calibration.search.expected_objective import ExpectedObjective
+from studies.calibration.search.failures import Failures
 from studies.calibration.search.rows import Rows
 
 
@@ -16,7 +17,6 @@ class Surrogates:
 
     def __init__(self, problem: CalibrationProblem) -> None:
         """Begin without a fit."""
-        self.penalty: Penalty | None = problem.prior
         self._prior = problem.prior
         self._features = Features.of(problem.space)
         self._parts = Part.parts_of(problem)
@@ -67,15 +67,20 @@ class Surrogates:
             fitted.append(process)
         return ProcessGroups.joined(fitted)
 
-    def weigh_failures(self, rows: Rows, objective: float) -> None:
-        """Learn where simulations fail, and let that weigh as much as an objective. [unit squared]."""
-        failed = ~rows.good
+    def expected(self, rows: Rows, scale: float) -> ExpectedObjective:
+        """Fit the residuals, and where simulations fail; let that weigh as much as a scale. [unit squared].
+
+        Raises:
+            numpy.linalg.LinAlgError: There is no fit to such rows.
+        """
+        failed, process = ~rows.good, self.fit(rows)
         if not failed.any():
-            return
+            return ExpectedObjective(process, self._prior)
         refits = is_refitted(failed.size, self._n_failures_fitted)
         if refits:
             self._n_failures_fitted = failed.size
-        self.penalty = known = Failures.fit(
-            self._features, rows.u, failed, self._prior, self._failed_hyper, scale=objective, refits=refits
+        failures = Failures.fit(
+            self._features, rows.u, failed, self._prior, self._failed_hyper, scale=scale, refits=refits
         )
-        self._failed_hyper = known.process.hyper
+        self._failed_hyper = failures.process.hyper
+        return ExpectedObjective(process, failures)
