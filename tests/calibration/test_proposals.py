@@ -8,6 +8,7 @@ from simulation.arrays import FloatArray
 from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.processes.process import Features
 from studies.calibration.search.expected_objective import ExpectedObjective
+from studies.calibration.search.first_design import within
 from studies.calibration.search.proposals import Surroundings, favourites, informative
 
 N_ASKED, N_MORE = 2, 4
@@ -29,7 +30,7 @@ def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
 
 def test_they_teach_more_than_as_many_favourites() -> None:
     around = surroundings()
-    lower, upper = around.box(around.radius)
+    lower, upper = within(around.centre, around.radius)
     places = np.random.default_rng(2).uniform(lower, upper, (50, 2))
 
     def left_unknown(points: FloatArray) -> float:

@@ -87,7 +87,9 @@ def next_move(state: SearchState) -> Move | Ending:
         if not state.confirmation.is_tested:
             return moves.test
         if state.may_end:
-            return ending.confirmed(state)
+            return ending.after_tests(
+                state.confirmation, switches=rows.switches, is_too_large=state.is_too_large
+            )
     return moves.turn
 
 

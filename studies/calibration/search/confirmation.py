@@ -66,10 +66,6 @@ class Confirmation:
         is_gain = best.rest < (1.0 - CONFIRMED) * (self.best - best.outlying)
         return Confirmation(best.objective, n_owed=self.n_owed) if is_gain else self
 
-    def forgotten(self) -> "Confirmation":
-        """Return it before any test or restart."""
-        return Confirmation(n_owed=self.n_owed)
-
     def note_test(self, gains: FloatArray) -> None:
         """Take note of a round of tests."""
         self.gains.append(gains)
@@ -134,7 +130,7 @@ def least_unlikely(
         # at 1.065 times (docs/notes/adaptive-search.md, Convergence, later in version 0.3).
         for start in (anywhere, best.u):
             # Another valley, and what the rows leave open of this one.
-            ends.append(descend(drawn, start, np.zeros(p), np.ones(p), ftol=ROUGH))
+            ends.append(descend(drawn, start, ftol=ROUGH))
     places = np.array([place for place, _ in ends])
     values = np.array([there.value for _, there in ends]).reshape(N_DRAWN, 2)
     gains = 1.0 - (values.min(axis=1) - best.outlying) / best.rest

@@ -54,11 +54,6 @@ def outdone(equations: Equations) -> Ending:
     )
 
 
-def confirmed(state: SearchState) -> Ending:
-    """Return the end of a search by processes that expects nothing more."""
-    return after_tests(state.confirmation, switches=state.rows.switches, is_too_large=state.is_too_large)
-
-
 def after_tests(known: Confirmation, *, switches: bool, is_too_large: bool = False) -> Ending:
     """Return the end of a search that has made all tests and restarts.
 

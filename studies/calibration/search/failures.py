@@ -2,7 +2,7 @@
 
 An optimum that a surrogate expects beyond the edge of what can be simulated would be asked for again and
 again. The process has the value 0 where a row succeeded and 1 where it failed. Where it expects more than
-`failed_share`, the objective that the search minimizes grows with the square of the rest; what a row counts
+`FAILED_SHARE`, the objective that the search minimizes grows with the square of the rest; what a row counts
 for stays its objective. Where no row has failed nothing changes.
 """
 
@@ -79,25 +79,18 @@ class Failures:
             hyper = most_probable(x, values, components.looseness, belief, first_guess)
         return cls(ResidualProcess.through(features, x, components, hyper), prior, scale)
 
-    def expected(self, u: FloatArray) -> tuple[float, FloatArray]:
-        """Return the expected share of failures at a point (p,) above `failed_share`, and its slope (p,)."""
-        k, dk = self.process.kernels(u)
-        share = float((k @ self.process.coefficients)[0])
-        slope = dk.T @ self.process.coefficients[:, 0]
-        # Penalized from 0.5 on, 32 % of the calls failed instead of
-        # 24 % (docs/notes/adaptive-search.md, Failed simulations).
-        excess = share - FAILED_SHARE
-        return (excess, slope) if excess > 0.0 else (0.0, np.zeros_like(slope))
-
     def penalty(self, u: FloatArray) -> FloatArray:
         """Return the penalty at points (n, p). Shape (n,). [unit squared]."""
         return np.array([self.expand(point).value for point in u])
 
     def expand(self, u: FloatArray) -> Expansion:
         """Expand the penalty around a point (p,)."""
-        share, slope = self.expected(u)
+        k, dk = self.process.kernels(u)
+        # The expected share of failures, as far as it is penalized, and its slope.
+        share = max(float((k @ self.process.coefficients)[0]) - FAILED_SHARE, 0.0)
+        slope = (share > 0.0) * (dk.T @ self.process.coefficients[:, 0])
         weight = self.scale * FAILED_WEIGHT
         # A square begins with slope zero, so that Newton steps see no kink at the edge.
         curvature = 2.0 * weight * np.outer(slope, slope)
-        found = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
-        return found if self.prior is None else found + self.prior.expand(u)
+        penalty = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
+        return penalty if self.prior is None else penalty + self.prior.expand(u)

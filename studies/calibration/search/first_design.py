@@ -24,6 +24,11 @@ def inside(u: FloatArray) -> FloatArray:
     return MARGIN + (1.0 - 2.0 * MARGIN) * u
 
 
+def within(centre: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Return lower and upper bounds within a half width of a point (p,) of the unit cube. Shapes (p,)."""
+    return np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
+
+
 def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
     """Return the most spread out of many Latin hypercube samples. Shape (n, p). [1]."""
     chosen, widest = np.empty((n, p)), -1.0

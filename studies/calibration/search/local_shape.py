@@ -4,6 +4,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.processes.groups import ProcessGroups
+from studies.calibration.search.rows import Incumbent
 from studies.calibration.search.search_state import SearchState
 
 # A parameter whose error at so many values across its range varies by less than this part has no effect. By
@@ -22,17 +23,18 @@ def local_shape(state: SearchState) -> tuple[BoolArray, FloatArray | None]:
         (p, p). [first output's unit per range]
     """
     ode, believed = state.equations.ode, state.equations.believed
-    is_sure = ode is not None and ode.is_sure
-    process = None if is_sure and believed is not None else _last_process(state)
-    is_flat = ode.left_out if ode is not None and is_sure else _is_flat(state, process)
+    best = state.rows.best()
+    # Equations that are sure need no process, but where they were given up.
+    process = None if believed is not None and believed.is_sure else _last_process(state)
+    is_flat = ode.left_out if ode is not None and ode.is_sure else _is_flat(process, best)
     if believed is not None:
-        return is_flat, _root(believed.slopes(state.rows.best().u))
+        return is_flat, _root(believed.slopes(best.u))
     if state.differences is not None:
         return is_flat, _root(state.differences)
     if state.fits_exactly or process is None:
         return is_flat, None
     # The Hessian is 2 J' J / m, with what the variance adds: its root is J but for a rotation, in p rows.
-    hessian = 0.5 * state.rows.residuals.shape[1] * process.expand(state.rows.best().u, 1.0).hessian
+    hessian = 0.5 * state.rows.residuals.shape[1] * process.expand(best.u, 1.0).hessian
     if not np.isfinite(hessian).all():
         return is_flat, None
     squares, axes = np.linalg.eigh(hessian)
@@ -44,8 +46,7 @@ def _root(slopes: FloatArray) -> FloatArray | None:
     return np.asarray(np.linalg.qr(slopes, mode="r")) if np.isfinite(slopes).all() else None
 
 
-def _is_flat(state: SearchState, process: ProcessGroups | None) -> BoolArray:
-    best = state.rows.best()
+def _is_flat(process: ProcessGroups | None, best: Incumbent) -> BoolArray:
     p = best.u.size
     if process is None:
         return np.zeros(p, dtype=np.bool_)

@@ -130,13 +130,12 @@ def adapt_window(state: SearchState) -> None:
         return
     n_design = state.n_whole_design
     n_last = min(FALLING_ROUNDS * state.settings.n_parallel, n_design)
-    if window.was_needed is None and rows.n >= rows.n_first + n_design:
-        is_falling = rows.lowest() < FALLING * rows.objective[:-n_last].min()
-        if not is_falling:
-            window.was_needed = rows.unexplained > UNEXPLAINED
-            if window.was_needed:
-                window.shorten(to_features=rows.switches)
-                state.begin_again()
+    is_open = window.was_needed is None and rows.n >= rows.n_first + n_design
+    if is_open and not rows.lowest() < FALLING * rows.objective[:-n_last].min():
+        window.was_needed = rows.unexplained > UNEXPLAINED
+        if window.was_needed:
+            window.shorten(to_features=rows.switches)
+            state.begin_again()
     while not window.is_whole and rows.unexplained <= WINDOW_EXPLAINED:
         double_window(state)
 

@@ -13,6 +13,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import SAME_POINT, Expansion, descend
 from studies.calibration.search.expected_objective import CAUTION, ExpectedObjective
+from studies.calibration.search.first_design import within
 
 # Descents on the surrogate per point, the first from the centre. By hand.
 N_DESCENTS = 3
@@ -45,10 +46,6 @@ class Surroundings:
     known: FloatArray
     n_descents: int
 
-    def box(self, radius: float) -> tuple[FloatArray, FloatArray]:
-        """Return the lower and upper corners within a half width of the centre. Shapes (p,)."""
-        return np.maximum(self.centre - radius, 0.0), np.minimum(self.centre + radius, 1.0)
-
 
 def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> tuple[FloatArray, Expansion]:
     """Return the favourite and what is expected of it, and favourites with other radii and cautions.
@@ -63,7 +60,7 @@ def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> 
     """
     centre, points, expansions = surroundings.centre, list[FloatArray](), list[Expansion]()
     for rank in range(n):
-        lower, upper = surroundings.box(min(surroundings.radius * (1.0, 0.5, 2.0)[rank % 3], 1.0))
+        lower, upper = within(centre, min(surroundings.radius * (1.0, 0.5, 2.0)[rank % 3], 1.0))
         # Half decades, by turns less and more than the favourite's: a round has bold and careful points.
         caution = float(CAUTION * 10.0 ** (0.5 * ((rank + 1) // 2) * (-1.0) ** rank))
         # Descents from the next best rows cost 3 to 9 % more calls
@@ -102,7 +99,7 @@ def informative(
     Returns:
         Shape (n, p). [1]
     """
-    p, (lower, upper) = surroundings.centre.size, surroundings.box(surroundings.radius)
+    p, (lower, upper) = surroundings.centre.size, within(surroundings.centre, surroundings.radius)
     expected = surroundings.objective
     objective = float(expected.at(surroundings.centre[None])[0])
     # Of steps drawn with this variance times the inverse of the curvature the mean costs `spread`.

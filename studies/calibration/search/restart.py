@@ -8,7 +8,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import Expansion, descend
 from studies.calibration.search.expected_objective import CAUTION
-from studies.calibration.search.first_design import inside
+from studies.calibration.search.first_design import inside, within
 from studies.calibration.search.rows import Incumbent
 
 # A restart farther along is the surrogate's minimum within this distance of a random point. By hand.
@@ -41,10 +41,8 @@ def farther_along(expand: Expand, shape: tuple[int, int], rng: np.random.Generat
         The minima. Shape as asked. [1]
     """
     cautious = partial(expand, caution=CAUTION)
-    away, starts = AWAY, inside(rng.random(shape))
-    return np.array(
-        [descend(cautious, u, np.maximum(u - away, 0.0), np.minimum(u + away, 1.0))[0] for u in starts]
-    )
+    starts = inside(rng.random(shape))
+    return np.array([descend(cautious, u, *within(u, AWAY))[0] for u in starts])
 
 
 def least_excluded(
@@ -64,7 +62,7 @@ def least_excluded(
     n, p = shape
     mean = partial(expand, caution=0.0)
     starts = rng.random((max(LEAST_DESCENTS, DESCENTS_PER_POINT * n), p))
-    ends = [descend(mean, u, np.zeros(p), np.ones(p))[0] for u in starts]
+    ends = [descend(mean, u)[0] for u in starts]
     # Descents find other minima of the mean, spread points find places of which next to nothing is known.
     points = np.array([*ends, *inside(rng.random((max(N_SPREAD, n), p)))])
     wanted = WANTED * best.rest + best.outlying

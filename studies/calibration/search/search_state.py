@@ -102,7 +102,7 @@ class SearchState:
         """Judge all simulations by a window that has changed, and begin a search phase at the best."""
         self.surrogates.forget_window()
         self.rows.judge_again()
-        self.confirmation = self.confirmation.forgotten()
+        self.confirmation = Confirmation(n_owed=self.confirmation.n_owed)
         self.phase, self.region = SearchPhase(), TrustRegion()
 
     @property
