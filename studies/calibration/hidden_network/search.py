@@ -1,7 +1,7 @@
 """A hidden network learnt during a calibration: it is fitted to the rows so far and proposes the next ones.
 
-Solving the network costs no call, so the whole box is searched. It proposes while its points get better, and
-what it has not explained after the first design it leaves to the processes of the residuals.
+Solving the network costs no call, so all of the bounds are searched. It proposes while its points get better.
+What it has not explained after the first design it leaves to the processes of the residuals.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Adaptive calibration: every simulation goes where a surrogate of all earlier ones expects the optimum.
 
-A few rows fill the box; from then on each round fits Gaussian processes to the residuals of all rows, walks
+A few points fill the bounds; from then on each round fits Gaussian processes to all residuals, walks
 downhill on the error that they expect inside a trust region around the best row, and simulates that point. No
 row is spent on differences, validation or a test: the processes are their own Jacobian and their own check.
 Where the rows explain too little, a truncated window is fitted first (truncated_window.py).

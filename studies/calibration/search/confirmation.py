@@ -126,10 +126,10 @@ def least_unlikely(
     ends = []
     for anywhere in rng.random((N_DRAWN, p)):
         drawn = objective.drawn(rng)
-        # From random points alone none came near an oscillator's valley: a search "converged"
+        # From random points alone none came near an oscillator's minimum: a search "converged"
         # at 1.065 times (docs/notes/adaptive-search.md, Convergence, later in version 0.3).
         for start in (anywhere, best.u):
-            # Another valley, and what the rows leave open of this one.
+            # Another local minimum, and what the simulations leave open of this one.
             ends.append(descend(drawn, start, ftol=ROUGH))
     places = np.array([place for place, _ in ends])
     values = np.array([there.value for _, there in ends]).reshape(N_DRAWN, 2)

@@ -15,7 +15,7 @@ N_DESIGNS = 200
 
 
 def first_points(n: int, p: int, rng: np.random.Generator) -> FloatArray:
-    """Return what an adaptive calibration begins with, away from the edges of the box. Shape (n, p). [1]."""
+    """Return what an adaptive calibration begins with, away from the bounds. Shape (n, p). [1]."""
     return np.round(inside(latin_hypercube(n, p, rng)), DECIMALS)
 
 

@@ -77,7 +77,7 @@ def first_apart(points: FloatArray, scores: FloatArray, distance: float) -> Floa
     for i in order:
         if all(float(np.abs(points[i] - points[j]).max()) > distance for j in chosen):
             chosen.append(i)
-    # In a small box fewer may lie apart than are asked for.
+    # Within narrow bounds fewer may lie apart than are asked for.
     return np.asarray(points[[*chosen, *(i for i in order if i not in chosen)]])
 
 
