@@ -22,7 +22,7 @@ MOST_UNEXPLAINED = (0.15, 0.03)  # those shares
 MOST_FITTED = 48
 # Points that are looked at, and how many of the best of them, beside best rows and last ends, are walked
 # downhill.
-N_LOOKS, N_RANDOM, N_ROWS, N_ENDS = 200, 16, 2, 2
+N_SOLVED, N_FROM_SOLVED, N_FROM_SIMULATED, N_ENDS = 200, 16, 2, 2
 # A row whose error is so many times the best counts half, in all fits but the first.
 HALF_COUNTED = 30.0
 # It proposes where it expects to gain this part of the best error.
@@ -86,10 +86,10 @@ class HiddenNetwork:
         if self._n_vain >= N_VAIN or not self._learn():
             return None
         p = self._u.shape[1]
-        looks = self._rng.random((N_LOOKS, p))
+        looks = self._rng.random((N_SOLVED, p))
         prior = self._problem.prior
         seen = looks, objectives(prior, looks, self._residuals(looks))
-        rows = np.argsort(self._objective, kind="stable")[:N_ROWS]
+        rows = np.argsort(self._objective, kind="stable")[:N_FROM_SIMULATED]
         others = np.concatenate([self._u[rows], self._ends])
         home, best_yet = self._u[rows[0]], float(self._objective.min())
         cost = self._nearness * best_yet
@@ -101,7 +101,7 @@ class HiddenNetwork:
             whole = [residuals / np.sqrt(m), np.sqrt(cost) * (u - home)]
             return np.asarray(np.concatenate(whole, axis=1) * np.sqrt(m + p))
 
-        ends, values = descend_from_best(with_distance, prior, seen, N_RANDOM, others)
+        ends, values = descend_from_best(with_distance, prior, seen, N_FROM_SOLVED, others)
         self._ends = ends[:N_ENDS]
         points = np.empty((0, p))
         for end, value in zip(ends, values, strict=True):

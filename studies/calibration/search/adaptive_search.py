@@ -74,12 +74,8 @@ def next_move(state: SearchState) -> Move | Ending:
         return moves.compare_beside if _needs_slopes(state) else ending.exact(state)
     if not _phase_is_over(state):
         return go_on
-    is_narrow = not rows.window.is_whole
-    if (
-        is_narrow
-        and state.is_at_best
-        and (state.confirmation.n_restarts > 0 or rows.unexplained <= NEARLY_EXPLAINED)
-    ):
+    is_narrow = state.is_at_best and not rows.window.is_whole
+    if is_narrow and (state.confirmation.n_restarts > 0 or rows.unexplained <= NEARLY_EXPLAINED):
         return moves.double_window
     if ode is not None:
         return (_beyond_rows(state, ode) or ending.by_equations(state)) if state.is_at_best else moves.turn
@@ -87,9 +83,8 @@ def next_move(state: SearchState) -> Move | Ending:
         if not state.confirmation.is_tested:
             return moves.test
         if state.may_end:
-            return ending.after_tests(
-                state.confirmation, switches=rows.switches, is_too_large=state.is_too_large
-            )
+            known, is_too_large = state.confirmation, state.is_too_large
+            return ending.after_tests(known, switches=rows.switches, is_too_large=is_too_large)
     return moves.turn
 
 

@@ -91,11 +91,6 @@ class Confirmation:
         return self.n_tested > self.n_restarts
 
     @property
-    def has_restarted_enough(self) -> bool:
-        """Whether so many restarts gained nothing that more of them are not worth their calls."""
-        return self.n_restarts >= MOST_RESTARTS
-
-    @property
     def has_looked(self) -> bool:
         """Whether the restarts that are owed were made."""
         return self.n_restarts >= self.n_owed

@@ -8,7 +8,12 @@ from simulation.arrays import FloatArray
 from studies.calibration.hidden_network.search import HiddenNetwork
 from studies.calibration.problem import Evaluation
 from studies.calibration.recorder import Recorder
-from studies.calibration.search.confirmation import RESTARTS_OWED, RESTARTS_OWED_TO_ONE, Confirmation
+from studies.calibration.search.confirmation import (
+    MOST_RESTARTS,
+    RESTARTS_OWED,
+    RESTARTS_OWED_TO_ONE,
+    Confirmation,
+)
 from studies.calibration.search.equations import Equations
 from studies.calibration.search.first_design import DECIMALS
 from studies.calibration.search.row_choice import n_apart
@@ -157,7 +162,7 @@ class SearchState:
         """Whether restarts, or fewer of them and tests that promise no gain, were in vain."""
         known = self.confirmation
         is_vain = known.has_looked and known.is_tested and not known.is_promising
-        return known.has_restarted_enough or (is_vain and not self.rows.switches)
+        return known.n_restarts >= MOST_RESTARTS or (is_vain and not self.rows.switches)
 
     @property
     def may_end(self) -> bool:
@@ -167,7 +172,7 @@ class SearchState:
             return False
         # Where another number of switchings may be right, more restarts find it now and then.
         known = self.confirmation
-        return known.has_restarted_enough if self.rows.switches else known.has_looked
+        return known.n_restarts >= MOST_RESTARTS if self.rows.switches else known.has_looked
 
     @property
     def fits_exactly(self) -> bool:
