@@ -13,7 +13,7 @@ from studies.calibration.search.rows import Incumbent
 
 # A restart farther along is the surrogate's minimum within this distance of a random point. By hand.
 AWAY = 0.5
-# Descents, at least and per point, and spread points among which a restart elsewhere is chosen. By hand.
+# Descents, at least and per point, and spread points among which a restart far away is chosen. By hand.
 LEAST_DESCENTS, DESCENTS_PER_POINT, N_SPREAD = 20, 4, 100
 # Another local minimum is worth a restart if its error may be this part of the best
 # (docs/notes/adaptive-search.md, When an error above the sensor's uncertainty ends the search).
