@@ -64,8 +64,8 @@ class Expansion:
 def descend(
     expand: Callable[[FloatArray], Expansion],
     start: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
+    lower: FloatArray | float = 0.0,
+    upper: FloatArray | float = 1.0,
     *,
     ftol: float = FTOL,
 ) -> tuple[FloatArray, Expansion]:
@@ -74,8 +74,8 @@ def descend(
     Args:
         expand: The function: value, gradient and a positive semidefinite Hessian at a point.
         start: First point, clipped into the box. Shape (p,). [1]
-        lower: Lower corner of the box. Shape (p,). [1]
-        upper: Upper corner. Shape (p,). [1]
+        lower: Lower bounds, that of the unit cube if not given. Shape (p,). [1]
+        upper: Upper bounds. Shape (p,). [1]
         ftol: A step that lowers the function by less than this part is the last. [1]
 
     Returns:
@@ -107,7 +107,12 @@ def descend(
 
 
 def _damped_step(
-    u: FloatArray, here: Expansion, damping: float, free: BoolArray, lower: FloatArray, upper: FloatArray
+    u: FloatArray,
+    here: Expansion,
+    damping: float,
+    free: BoolArray,
+    lower: FloatArray | float,
+    upper: FloatArray | float,
 ) -> FloatArray:
     """Return the damped Newton point; coordinates that leave the box stop at its face. Shape (p,)."""
     step = np.zeros_like(u)

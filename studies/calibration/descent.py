@@ -7,12 +7,12 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
 
-# Damped steps from all starts together.
+# Damped steps from all starts together. By hand.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 # Damping relative to the curvature, as is usual for Levenberg-Marquardt; by hand.
-FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
+DAMPING_AT_FIRST, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
 # Relative gain that ends a walk.
-FTOL = 1e-5
+LEAST_GAIN = 1e-5
 # Best rows and last ends that walks begin at, beside the best of random points: nothing else looks for
 # valleys. By hand.
 N_BEST_ROWS, N_LAST_ENDS = 2, 2
@@ -75,7 +75,7 @@ def descend_together(
     k, p = u.shape
     here = residuals(u)
     values = objectives(prior, u, here)
-    damping = np.full(k, FIRST_DAMPING)
+    damping = np.full(k, DAMPING_AT_FIRST)
     is_open = np.isfinite(values)
     jacobian = np.zeros((k, here.shape[1], p))
     is_stale = is_open.copy()
@@ -99,7 +99,7 @@ def descend_together(
         is_lower = found < values[walks]
         gain = np.where(is_lower, values[walks] - found, 0.0)
         lower, higher = walks[is_lower], walks[~is_lower]
-        is_open[lower] = gain[is_lower] > FTOL * values[lower]
+        is_open[lower] = gain[is_lower] > LEAST_GAIN * values[lower]
         u[lower], here[lower], values[lower] = trial[is_lower], answers[is_lower], found[is_lower]
         is_stale[lower] = True
         damping[lower] *= EASIER

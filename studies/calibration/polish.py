@@ -14,7 +14,7 @@ from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import OnProgress, Recorder, SearchResult
 
 # SciPy moves a start on a bound inside by some 1e-10; a residual known that close is the residual there.
-SAME_POINT = 1e-9
+SAME_START = 1e-9
 
 # The solver takes the distance of the start from the origin for its first trust radius, which a start in the
 # corner 0 would make vanish: it is shown the cube between 1 and 2.
@@ -172,7 +172,7 @@ class _Search:
     def evaluate_at(self, v: FloatArray) -> Evaluation:
         """Ask the model at one point, unless it is the point asked last."""
         # SciPy asks for the Jacobian where it has asked for the objective: that row is paid once.
-        if self._last is not None and float(np.max(np.abs(self._last[0] - v))) <= SAME_POINT:
+        if self._last is not None and float(np.max(np.abs(self._last[0] - v))) <= SAME_START:
             return self._last[1]
         answer = self._recorder.evaluate(self.from_search(v[None]))
         self._last = (v.copy(), answer)

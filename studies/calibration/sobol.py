@@ -12,7 +12,7 @@ from simulation.parameters import ParameterSpace
 from simulation.store.stored_model import StoredModel
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
-CONSTANT = 1e-6
+UNVARYING = 1e-6
 # Of the bootstrapped intervals, as SALib has it.
 CONFIDENCE_LEVEL = 0.95
 OnProgress = Callable[[int, int], None]
@@ -171,7 +171,7 @@ def _estimates(blocks: FloatArray, weights: FloatArray) -> tuple[FloatArray, Flo
     result = np.full((4, d, p), np.nan)
     if not m:
         return np.full(d, np.nan), result
-    varies = np.ptp(blocks, axis=(0, 1)) > CONSTANT * np.abs(blocks).max(axis=(0, 1))
+    varies = np.ptp(blocks, axis=(0, 1)) > UNVARYING * np.abs(blocks).max(axis=(0, 1))
     # The first-order estimator is biased for outputs that are not centered, so SALib standardizes: only the
     # mean makes a difference.
     z = blocks - blocks.mean(axis=(0, 1))

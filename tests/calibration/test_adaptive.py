@@ -19,8 +19,8 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.processes.process import Features, ResidualProcess
 from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.search.expected_objective import Surrogate
 
+Surrogate = ResidualProcess | ProcessGroups
 FEATURES = Features.of(ToyRC().parameter_space)
 ROWS = np.random.default_rng(0).random((12, 2))
 SHORT = Adaptive(max_calls=60)

@@ -10,9 +10,16 @@ from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.processes.posterior_sample import PosteriorSample
 from studies.calibration.processes.process import Features
-from studies.calibration.search.confirmation import least_unlikely
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.ending import Confirmation
+from studies.calibration.search.confirmation import (
+    N_DRAWN,
+    PROMISED,
+    RESTARTS_OWED,
+    Confirmation,
+    least_unlikely,
+)
+from studies.calibration.search.ending import after_tests, still_owed
+from studies.calibration.search.expected_objective import ExpectedObjective
+from studies.calibration.search.rows import Incumbent
 
 FEATURES = Features.of(ToyRC().parameter_space)
 # Differences of 1e-6 in the cube leave about 1e-6 of the gradient.
@@ -36,30 +43,31 @@ def test_the_gradient_of_a_drawn_function_is_that_of_its_value() -> None:
 
 def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     process, u, mse = taught(40)
-    best = u[mse.argmin()], float(mse.min())
+    lowest = int(mse.argmin())
+    best = Incumbent(lowest, u[lowest], float(mse[lowest]))
     rng = np.random.default_rng(1)
-    _, away = least_unlikely(process, None, best, (u, np.ones(40, dtype=np.bool_)), 1, rng)
-    assert np.median(away) > SEARCH.promised
+    _, away = least_unlikely(ExpectedObjective(process), best, (u, np.ones(40, dtype=np.bool_)), 1, rng)
+    assert np.median(away) > PROMISED
     problem = rc_problem(noise=0.05)
     at = LeastSquaresTRF().minimize(problem, problem.space.to_unit(TRUE_RC)).u
     rng = np.random.default_rng(0)
     around = np.clip(at + 0.05 * rng.standard_normal((10, 2)), 0.0, 1.0)
     u = np.concatenate([rng.random((30, 2)), around, at[None]])
     process = ProcessGroups.fit(FEATURES, u, problem.residuals(u))
-    best, rows = (at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
-    _, gains = least_unlikely(process, None, best, rows, 1, rng)
-    assert np.median(gains) < SEARCH.promised
+    best, rows = Incumbent(40, at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
+    _, gains = least_unlikely(ExpectedObjective(process), best, rows, 1, rng)
+    assert np.median(gains) < PROMISED
 
 
 def test_what_is_promised_and_not_found_is_said() -> None:
     """After all tests and restarts that are owed, none of which gains anything."""
     confirmation = Confirmation()
-    for n_restarts in range(SEARCH.restarts_owed + 1):
+    for n_restarts in range(RESTARTS_OWED + 1):
         confirmation.n_restarts = n_restarts
         assert not confirmation.is_tested
-        confirmation.note_test(np.full(SEARCH.n_drawn, 2.0 * SEARCH.promised))
+        confirmation.note_test(np.full(N_DRAWN, 2.0 * PROMISED))
         assert confirmation.is_tested
     assert confirmation.has_looked
-    assert not confirmation.ending(switches=False).converged
-    said = f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
-    assert said in confirmation.still_owed(1e-3)
+    assert not after_tests(confirmation, switches=False).converged
+    said = f"a gain of up to {2.0 * PROMISED:g} of the error is not excluded in the box"
+    assert said in still_owed(confirmation, 1e-3)

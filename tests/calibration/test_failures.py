@@ -7,8 +7,7 @@ from toy_rc import ToyRC
 
 from studies.calibration.processes.process import Features
 from studies.calibration.search.adaptive import Adaptive
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.failures import Failures
+from studies.calibration.search.failures import FAILED_SHARE, Failures
 
 # Differences of 1e-6 in the cube leave about 1e-5 of so steep a gradient.
 GRADIENT_RTOL = 1e-4
@@ -43,7 +42,7 @@ def test_the_gradient_of_the_penalty_is_that_of_its_value() -> None:
     known = _failures()
     u = np.array([0.68, 0.3])
     found = known.expand(u)
-    assert found.value > SEARCH.failed_share**2
+    assert found.value > FAILED_SHARE**2
     by_differences = approx_fprime(u, lambda at: known.expand(at).value, 1e-6)
     np.testing.assert_allclose(
         found.gradient, by_differences, atol=GRADIENT_RTOL * np.abs(found.gradient).max()

@@ -13,6 +13,7 @@ from studies.calibration.descent import descend_together
 from studies.calibration.largest_samples import outlying_part
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.state_equations.learned_ode import LearnedODE
 
 N, STEP_S = 120, 1000.0
 TIME = STEP_S * np.arange(N)
@@ -111,6 +112,24 @@ def test_proposals_that_gain_less_than_the_equations_err_by_are_given_up(
     assert ("gained less than the equations err by" in found.stop_reason) == ends_at_once
     _, (least,) = descend_together(problem.residuals, None, found.u[None])
     assert found.mse <= 1.02 * least
+
+
+def test_a_search_whose_exact_equations_are_given_up_spends_its_budget() -> None:
+    """No row is as near to the target as rounding allows: the search went on for ever without a call."""
+    room = Moving(
+        box(R=(0.5, 20.0), C=(200.0, 20_000.0)),
+        ("K", "K"),
+        600.0,
+        278.0 + 6.0 * np.sin(np.arange(144.0) / 15.0)[:, None],
+        lambda r, c, x, outside: [(outside - x) / (r * c)],
+        lambda r, c: [294.0 + 0.0 * c],
+    )
+    problem = measured(room, np.array([6.0, 2000.0]), 0.0, sensor=0.1)
+    ode = LearnedODE.of(problem)
+    found = Adaptive(max_calls=20, target_mse=1e-20).minimize(problem, seed=0, learned_ode=ode)
+    assert ode.is_given_up
+    assert found.n_calls == 20
+    assert "the target of 1e-20 is missed" in found.stop_reason
 
 
 def test_one_parameter_needs_few_calls_to_be_confirmed() -> None:

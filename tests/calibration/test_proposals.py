@@ -7,6 +7,8 @@ from toy_rc import ToyRC
 from simulation.arrays import FloatArray
 from studies.calibration.processes.groups import ProcessGroups
 from studies.calibration.processes.process import Features
+from studies.calibration.search.expected_objective import ExpectedObjective
+from studies.calibration.search.first_design import within
 from studies.calibration.search.proposals import Surroundings, favourites, informative
 
 N_ASKED, N_MORE = 2, 4
@@ -17,7 +19,7 @@ def surroundings(radius: float = 0.3) -> Surroundings:
     residuals = problem.residuals(u)
     process = ProcessGroups.fit(Features.of(ToyRC().parameter_space), u, residuals)
     centre: FloatArray = u[int(np.argmin((residuals**2).sum(axis=1)))]
-    return Surroundings(process, None, centre, radius, u, 3)
+    return Surroundings(ExpectedObjective(process), centre, radius, u, 3)
 
 
 def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -28,11 +30,11 @@ def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
 
 def test_they_teach_more_than_as_many_favourites() -> None:
     around = surroundings()
-    lower, upper = around.box(around.radius)
+    lower, upper = within(around.centre, around.radius)
     places = np.random.default_rng(2).uniform(lower, upper, (50, 2))
 
     def left_unknown(points: FloatArray) -> float:
-        n, covariance = len(points), around.process.covariance(np.concatenate([points, places]))
+        n, covariance = len(points), around.objective.process.covariance(np.concatenate([points, places]))
         noise = 1e-6 * np.trace(covariance) * np.eye(n)
         known = np.linalg.solve(covariance[:n, :n] + noise, covariance[:n, n:])
         return float(np.trace(covariance[n:, n:] - covariance[n:, :n] @ known))

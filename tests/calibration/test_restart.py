@@ -9,9 +9,11 @@ from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import Expansion
-from studies.calibration.processes.process import Features, ResidualProcess
-from studies.calibration.search.expected_objective import expected_objective, is_surely_no_better
+from studies.calibration.processes.groups import ProcessGroups
+from studies.calibration.processes.process import Features
+from studies.calibration.search.expected_objective import ExpectedObjective
 from studies.calibration.search.restart import least_excluded
+from studies.calibration.search.rows import Incumbent
 
 
 def two_valleys(u: FloatArray, *, caution: float, unsure_at: float) -> Expansion:
@@ -28,7 +30,7 @@ def test_another_valley_is_sought_or_where_all_are_known_the_least_known_place(
     unsure_at: float, tolerance: float
 ) -> None:
     expand = partial(two_valleys, unsure_at=unsure_at)
-    found = least_excluded(expand, 1.0, (1, 1), np.random.default_rng(0))
+    found = least_excluded(expand, Incumbent(0, np.array([0.2]), 1.0), (1, 1), np.random.default_rng(0))
     assert found[0, 0] == pytest.approx(unsure_at, abs=tolerance)
 
 
@@ -36,9 +38,10 @@ def test_a_known_row_is_surely_no_better_than_itself_and_an_unknown_place_may_be
     problem = rc_problem(noise=0.05)
     u = 0.3 * np.random.default_rng(0).random((8, 2))
     residuals = problem.residuals(u)
-    process = ResidualProcess.fit(Features.of(ToyRC().parameter_space), u, residuals)
+    process = ProcessGroups.fit(Features.of(ToyRC().parameter_space), u, residuals)
+    objective = ExpectedObjective(process)
     best = int(np.argmin((residuals**2).mean(axis=1)))
-    objective = float((residuals[best] ** 2).mean())
+    incumbent = Incumbent(best, u[best], float((residuals[best] ** 2).mean()))
     for point, is_sure in ((u[best], True), (np.array([0.9, 0.9]), False)):
-        expected = expected_objective(process, None, point, 0.1)
-        assert is_surely_no_better(process, point, expected, objective) is is_sure
+        expected = objective.expand(point, 0.1)
+        assert objective.excludes(point, expected, incumbent) is is_sure

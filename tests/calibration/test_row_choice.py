@@ -51,6 +51,13 @@ def test_a_calibration_to_changed_data_costs_a_few_calls() -> None:
     assert anew.n_calls > 3 * warm.n_calls
 
 
+def test_a_first_design_may_lack_one_row() -> None:
+    """Three of four rows are known; a design of one row had no distances, and the search crashed."""
+    known = rc_problem(noise=0.05).evaluate(np.array([[0.1, 0.1], [0.5, 0.9], [0.9, 0.5]]))
+    found = Adaptive(max_calls=2).minimize(rc_problem(noise=0.05), seed=0, known=known)
+    assert found.n_calls == 2
+
+
 def test_a_warm_start_costs_no_calls_and_the_first_entry_of_the_history() -> None:
     problem = rc_problem(noise=0.05)
     known = evaluated(problem, 20)

@@ -13,8 +13,7 @@ from simulation.robust_loss import RobustLoss
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.search.adaptive import Adaptive
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.truncated_window import TruncatedWindow
+from studies.calibration.search.truncated_window import SHORTEST, TruncatedWindow
 
 TRUE_WAVE = np.array([3.3, 0.7])
 
@@ -50,7 +49,7 @@ def test_all_is_seen_at_first_and_the_beginning_after_shortening() -> None:
     residuals = np.arange(800.0).reshape(2, 400)
     np.testing.assert_array_equal(window.seen(residuals), residuals)
     window.shorten()
-    np.testing.assert_array_equal(window.seen(residuals), residuals[:, : int(np.ceil(400 * SEARCH.shortest))])
+    np.testing.assert_array_equal(window.seen(residuals), residuals[:, : int(np.ceil(400 * SHORTEST))])
     n_seen = []
     while not window.is_whole:
         window.double()

@@ -31,7 +31,7 @@ LEADING = 0.9
 CLOSER, PER_COMPONENT = 0.7, 2.0
 # A row's noise falls with its error, in a single process with the error's root: a search only has to know its
 # best rows, and far rows then distort their surroundings less.
-NOISE_POWER, NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
+NOISE_POWER, ERROR_NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
 
 
 # Hyperparameters are fitted again where rows have grown by this part of themselves: a fit takes some fifty
@@ -108,7 +108,7 @@ class ProcessGroups:
             looseness = components.looseness
             is_noisy = np.arange(len(u)) < n_noisy
             components = replace(components, looseness=np.where(is_noisy, looseness, looseness.min()))
-        belief = Belief.of(x.shape[1], NOISE_PRIOR)
+        belief = Belief.of(x.shape[1], ERROR_NOISE_PRIOR)
 
         def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:
             guess = first_guess[place] if place < len(first_guess) else None

@@ -1,6 +1,6 @@
 """Adaptive calibration: every simulation goes where a surrogate of all earlier ones expects the optimum.
 
-A few rows fill the box; from then on each round fits Gaussian processes to the residuals of all rows, walks
+A few points fill the bounds; from then on each round fits Gaussian processes to all residuals, walks
 downhill on the error that they expect inside a trust region around the best row, and simulates that point. No
 row is spent on differences, validation or a test: the processes are their own Jacobian and their own check.
 Where the rows explain too little, a truncated window is fitted first (truncated_window.py).
@@ -20,9 +20,11 @@ from studies.calibration.hidden_network.search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.proposer import Proposer
 from studies.calibration.recorder import OnProgress, Recorder, SearchResult
-from studies.calibration.search.adaptive_search import AdaptiveSearch
-from studies.calibration.search.ending import Ending
+from studies.calibration.search.adaptive_search import run
+from studies.calibration.search.ending import Ending, left
+from studies.calibration.search.local_shape import local_shape
 from studies.calibration.search.misfit_threshold import misfit_threshold
+from studies.calibration.search.search_state import SearchState
 from studies.calibration.search.settings import SearchSettings
 
 
@@ -121,12 +123,12 @@ class Adaptive(SearchSettings):
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
         network = None if network_inputs is None else HiddenNetwork(network_inputs, problem, seed)
         rng = np.random.default_rng(seed)
-        search = AdaptiveSearch(self, problem, recorder, rng, known, learned_ode, network)
+        state = SearchState(self, recorder, rng, known, learned_ode, network)
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             # What overflows counts as failed, and is no news to who calibrates.
             with threadpool_limits(limits=1, user_api="blas"), np.errstate(all="ignore"):
-                ending = search.run()
+                ending = run(state)
         except BudgetExceeded as end:
             missed = "" if self.target_mse is None else f"; the target of {self.target_mse:g} is missed"
             ending = Ending(f"{end}{missed}", converged=False)
@@ -135,13 +137,14 @@ class Adaptive(SearchSettings):
         if best is not None and best.failures[0]:
             reason = f"no simulation succeeded, the first one: {best.failures[0]}; {reason}"
         with np.errstate(all="ignore"):
+            is_flat, slopes = local_shape(state)
             return recorder.result(
                 AdaptiveResult,
                 reason,
                 converged=ending.converged,
-                n_rounds=search.n_rounds,
-                expected_gain=search.expected_gain,
-                left="" if ending.converged else search.left,
-                is_flat=search.is_flat,
-                slopes=search.slopes,
+                n_rounds=state.n_rounds,
+                expected_gain=state.expected_gain,
+                left="" if ending.converged else left(state),
+                is_flat=is_flat,
+                slopes=slopes,
             )

@@ -2,7 +2,7 @@
 
 An optimum that a surrogate expects beyond the edge of what can be simulated would be asked for again and
 again. The process has the value 0 where a row succeeded and 1 where it failed. Where it expects more than
-`failed_share`, the objective that the search minimizes grows with the square of the rest; what a row counts
+`FAILED_SHARE`, the objective that the search minimizes grows with the square of the rest; what a row counts
 for stays its objective. Where no row has failed nothing changes.
 """
 
@@ -16,7 +16,11 @@ from studies.calibration.box_newton import Expansion
 from studies.calibration.prior import Prior
 from studies.calibration.processes.kernel import Belief, most_probable
 from studies.calibration.processes.process import Components, Features, ResidualProcess
-from studies.calibration.search.constants import SEARCH
+
+# Expected share of failures from which a place is penalized, and the penalty where all fail, in objectives of
+# the simulation that a step begins at. Penalized from 0.5 on, 32 % of the calls failed instead of 24 %
+# (docs/notes/adaptive-search.md, Failed simulations).
+FAILED_SHARE, FAILED_WEIGHT = 0.3, 10.0
 
 
 class Penalty(Protocol):
@@ -75,25 +79,18 @@ class Failures:
             hyper = most_probable(x, values, components.looseness, belief, first_guess)
         return cls(ResidualProcess.through(features, x, components, hyper), prior, scale)
 
-    def expected(self, u: FloatArray) -> tuple[float, FloatArray]:
-        """Return the expected share of failures at a point (p,) above `failed_share`, and its slope (p,)."""
-        k, dk = self.process.kernels(u)
-        share = float((k @ self.process.coefficients)[0])
-        slope = dk.T @ self.process.coefficients[:, 0]
-        # Penalized from 0.5 on, 32 % of the calls failed instead of
-        # 24 % (docs/notes/adaptive-search.md, Failed simulations).
-        excess = share - SEARCH.failed_share
-        return (excess, slope) if excess > 0.0 else (0.0, np.zeros_like(slope))
-
     def penalty(self, u: FloatArray) -> FloatArray:
         """Return the penalty at points (n, p). Shape (n,). [unit squared]."""
         return np.array([self.expand(point).value for point in u])
 
     def expand(self, u: FloatArray) -> Expansion:
         """Expand the penalty around a point (p,)."""
-        share, slope = self.expected(u)
-        weight = self.scale * SEARCH.failed_weight
+        k, dk = self.process.kernels(u)
+        # The expected share of failures, as far as it is penalized, and its slope.
+        share = max(float((k @ self.process.coefficients)[0]) - FAILED_SHARE, 0.0)
+        slope = (share > 0.0) * (dk.T @ self.process.coefficients[:, 0])
+        weight = self.scale * FAILED_WEIGHT
         # A square begins with slope zero, so that Newton steps see no kink at the edge.
         curvature = 2.0 * weight * np.outer(slope, slope)
-        found = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
-        return found if self.prior is None else found + self.prior.expand(u)
+        penalty = Expansion.known(weight * share**2, 0.0, 2.0 * weight * share * slope, curvature)
+        return penalty if self.prior is None else penalty + self.prior.expand(u)

@@ -3,16 +3,30 @@
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.restart import inside
+
+# Decimals of the unit cube to which points are rounded: should the last bits of the linear algebra
+# differ, the points do not, and a store finds their simulations again.
+DECIMALS = 5
+# Part of each coordinate's range that the first design and random places leave out at both ends. By hand.
+MARGIN = 0.15
 
 # Latin hypercubes that are compared; by hand.
 N_DESIGNS = 200
 
 
 def first_points(n: int, p: int, rng: np.random.Generator) -> FloatArray:
-    """Return what an adaptive calibration begins with, away from the edges of the box. Shape (n, p). [1]."""
-    return np.round(inside(latin_hypercube(n, p, rng)), SEARCH.decimals)
+    """Return what an adaptive calibration begins with, away from the bounds. Shape (n, p). [1]."""
+    return np.round(inside(latin_hypercube(n, p, rng)), DECIMALS)
+
+
+def inside(u: FloatArray) -> FloatArray:
+    """Return points of the unit cube moved into the part of it that a margin leaves."""
+    return MARGIN + (1.0 - 2.0 * MARGIN) * u
+
+
+def within(centre: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Return lower and upper bounds within a half width of a point (p,) of the unit cube. Shapes (p,)."""
+    return np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
 
 
 def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
@@ -23,7 +37,7 @@ def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
         u = (cells + rng.random((n, p))) / n
         distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
         # Maximin distance (Johnson, Moore and Ylvisaker 1990, doi:10.1016/0378-3758(90)90122-B).
-        least = float(distances[~np.eye(n, dtype=np.bool_)].min())
+        least = float(distances[~np.eye(n, dtype=np.bool_)].min(initial=np.inf))
         if least > widest:
             chosen, widest = u, least
     return chosen

@@ -12,13 +12,19 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import SAME_POINT, Expansion, descend
-from studies.calibration.processes.groups import ProcessGroups
-from studies.calibration.search.constants import SEARCH
-from studies.calibration.search.expected_objective import expected_objective
-from studies.calibration.search.failures import Penalty
+from studies.calibration.search.expected_objective import CAUTION, ExpectedObjective
+from studies.calibration.search.first_design import within
+
+# Descents on the surrogate per point, the first from the centre. By hand.
+N_DESCENTS = 3
+# Places may be as good whose objective is expected to be greater by this part, in the mean of random ones and
+# at most (docs/notes/adaptive-search.md, Rounds of several points).
+MEAN_SPREAD, MOST_SPREAD = 0.02, 0.06
+# Places among which the informative points of a round are chosen. By hand.
+N_PLACES = 200
 
 # Relative to the greatest variance: below, two points carry the same information.
-LEAST_VARIANCE = 1e-6
+SAME_INFORMATION = 1e-6
 LEAST_CURVATURE = 1e-8  # relative to the sum of all
 
 
@@ -27,33 +33,18 @@ class Surroundings:
     """The trust region of a round and what is known there.
 
     Attributes:
-        process: The surrogate.
-        prior: What is added to the error, None for nothing.
+        objective: What is expected of it.
         centre: The row that the search phase goes on from. Shape (p,). [1]
         radius: Half width of the trust region. [1]
         known: Points that were simulated. Shape (n, p). [1]
         n_descents: Descents for a favourite, the first from the centre.
     """
 
-    process: ProcessGroups
-    prior: Penalty | None
+    objective: ExpectedObjective
     centre: FloatArray
     radius: float
     known: FloatArray
     n_descents: int
-
-    def box(self, radius: float) -> tuple[FloatArray, FloatArray]:
-        """Return the lower and upper corners within a half width of the centre. Shapes (p,)."""
-        return np.maximum(self.centre - radius, 0.0), np.minimum(self.centre + radius, 1.0)
-
-    def expand(self, u: FloatArray, caution: float) -> Expansion:
-        """Expand the expected objective around a point; caution is the part of the variance in it."""
-        return expected_objective(self.process, self.prior, u, caution)
-
-    def objectives(self, u: FloatArray) -> FloatArray:
-        """Return the objectives at points (n, p) if the mean predictions are right. Shape (n,)."""
-        errors = self.process.errors(u)
-        return errors if self.prior is None else errors + self.prior.penalty(u)
 
 
 def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> tuple[FloatArray, Expansion]:
@@ -69,13 +60,13 @@ def favourites(surroundings: Surroundings, n: int, rng: np.random.Generator) -> 
     """
     centre, points, expansions = surroundings.centre, list[FloatArray](), list[Expansion]()
     for rank in range(n):
-        lower, upper = surroundings.box(min(surroundings.radius * (1.0, 0.5, 2.0)[rank % 3], 1.0))
+        lower, upper = within(centre, min(surroundings.radius * (1.0, 0.5, 2.0)[rank % 3], 1.0))
         # Half decades, by turns less and more than the favourite's: a round has bold and careful points.
-        caution = float(SEARCH.caution * 10.0 ** (0.5 * ((rank + 1) // 2) * (-1.0) ** rank))
+        caution = float(CAUTION * 10.0 ** (0.5 * ((rank + 1) // 2) * (-1.0) ** rank))
         # Descents from the next best rows cost 3 to 9 % more calls
         # (docs/notes/adaptive-search.md, Rounds of several points).
         starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
-        expand = partial(surroundings.expand, caution=caution)
+        expand = partial(surroundings.objective.expand, caution=caution)
         ends = [descend(expand, start, lower, upper) for start in starts]
         u, expected = min(ends, key=lambda end: end[1].value)
         known = np.array([*surroundings.known, *points])
@@ -108,25 +99,26 @@ def informative(
     Returns:
         Shape (n, p). [1]
     """
-    p, (lower, upper) = surroundings.centre.size, surroundings.box(surroundings.radius)
-    objective = float(surroundings.objectives(surroundings.centre[None])[0])
+    p, (lower, upper) = surroundings.centre.size, within(surroundings.centre, surroundings.radius)
+    expected = surroundings.objective
+    objective = float(expected.at(surroundings.centre[None])[0])
     # Of steps drawn with this variance times the inverse of the curvature the mean costs `spread`.
     # Draws of 10 % and of 0.5 % gained no more (docs/notes/adaptive-search.md, Rounds of several points).
-    variance = 2.0 * SEARCH.spread * objective / p
+    variance = 2.0 * MEAN_SPREAD * objective / p
     # At an error of zero rounding may make the curvature indefinite.
     ridge = max(variance / surroundings.radius**2, LEAST_CURVATURE * np.trace(favourite.hessian))
     ridge += np.finfo(float).tiny
     factor = np.linalg.cholesky(favourite.hessian + ridge * np.eye(p))
-    n_places = max(SEARCH.n_places, 2 * n)
+    n_places = max(N_PLACES, 2 * n)
     # The factor's inverse times normal draws has the inverse curvature as covariance: no inverse is formed.
     steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, n_places))).T
     places = np.clip(asked[0] + steps, lower, upper)
-    excess = surroundings.objectives(places) - favourite.value
+    excess = expected.at(places) - favourite.value
     # A tenth of the places remains where all are expected to be worse.
     n_least = max(n, n_places // 10)
-    places = places[excess <= max(SEARCH.most_spread * objective, float(np.sort(excess)[n_least - 1]))]
-    left = surroundings.process.covariance(np.concatenate([asked, places]))
-    least = LEAST_VARIANCE * float(np.diag(left).max()) + np.finfo(float).tiny
+    places = places[excess <= max(MOST_SPREAD * objective, float(np.sort(excess)[n_least - 1]))]
+    left = expected.process.covariance(np.concatenate([asked, places]))
+    least = SAME_INFORMATION * float(np.diag(left).max()) + np.finfo(float).tiny
     # Points of the same round count as simulated first: what they will show is not asked for twice.
     order = list(range(len(asked)))
     for rank in range(len(asked) + n):

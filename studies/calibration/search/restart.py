@@ -1,4 +1,4 @@
-"""Where a search restarts after a search phase has ended: farther along its valley, or in another one."""
+"""Where a search restarts after a search phase: farther along its valley, or near another local minimum."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,7 +7,19 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import Expansion, descend
-from studies.calibration.search.constants import SEARCH
+from studies.calibration.search.expected_objective import CAUTION
+from studies.calibration.search.first_design import inside, within
+from studies.calibration.search.rows import Incumbent
+
+# A restart farther along is the surrogate's minimum within this distance of a random point. By hand.
+AWAY = 0.5
+# Descents, at least and per point, and spread points among which a restart far away is chosen. By hand.
+LEAST_DESCENTS, DESCENTS_PER_POINT, N_SPREAD = 20, 4, 100
+# Another local minimum is worth a restart if its error may be this part of the best
+# (docs/notes/adaptive-search.md, When an error above the sensor's uncertainty ends the search).
+WANTED = 0.5
+# Distance between restarts of one round. By hand.
+RESTARTS_APART = 0.05
 
 # Relative to the error: a prediction's variance is at least this.
 LEAST_VARIANCE = 1e-9
@@ -28,43 +40,34 @@ def farther_along(expand: Expand, shape: tuple[int, int], rng: np.random.Generat
     Returns:
         The minima. Shape as asked. [1]
     """
-    cautious = partial(expand, caution=SEARCH.caution)
-    away, starts = SEARCH.away, inside(rng.random(shape))
-    return np.array(
-        [descend(cautious, u, np.maximum(u - away, 0.0), np.minimum(u + away, 1.0))[0] for u in starts]
-    )
+    cautious = partial(expand, caution=CAUTION)
+    starts = inside(rng.random(shape))
+    return np.array([descend(cautious, u, *within(u, AWAY))[0] for u in starts])
 
 
 def least_excluded(
-    expand: Expand, best: float, shape: tuple[int, int], rng: np.random.Generator, *, outlying: float = 0.0
+    expand: Expand, best: Incumbent, shape: tuple[int, int], rng: np.random.Generator
 ) -> FloatArray:
     """Return points whose predicted excess over a wanted error is the least multiple of its variance.
 
     Args:
         expand: The surrogate.
-        best: Objective of the best row. [unit squared]
+        best: The best simulation; its largest samples are as large near another local minimum.
         shape: How many points, and of how many coordinates.
         rng: Source of the descents' starts and the spread points.
-        outlying: Part of the best objective that is its largest samples', which another valley has as well.
-            [unit squared]
 
     Returns:
         The points, the least excluded first. Shape as asked. [1]
     """
     n, p = shape
     mean = partial(expand, caution=0.0)
-    starts = rng.random((max(SEARCH.least_descents, SEARCH.descents_per_point * n), p))
-    ends = [descend(mean, u, np.zeros(p), np.ones(p))[0] for u in starts]
-    # Descents find other valleys of the mean, spread points find places of which next to nothing is known.
-    points = np.array([*ends, *inside(rng.random((max(SEARCH.n_spread, n), p)))])
-    wanted = SEARCH.wanted * (best - outlying) + outlying
+    starts = rng.random((max(LEAST_DESCENTS, DESCENTS_PER_POINT * n), p))
+    ends = [descend(mean, u)[0] for u in starts]
+    # Descents find other minima of the mean, spread points find places of which next to nothing is known.
+    points = np.array([*ends, *inside(rng.random((max(N_SPREAD, n), p)))])
+    wanted = WANTED * best.rest + best.outlying
     scores = [_excess_by_variance(expand, u, wanted) for u in points]
-    return first_apart(points, np.array(scores), SEARCH.apart)[:n]
-
-
-def inside(u: FloatArray) -> FloatArray:
-    """Return points of the unit cube moved into the part of it that a margin leaves."""
-    return SEARCH.margin + (1.0 - 2.0 * SEARCH.margin) * u
+    return first_apart(points, np.array(scores), RESTARTS_APART)[:n]
 
 
 def first_apart(points: FloatArray, scores: FloatArray, distance: float) -> FloatArray:
@@ -74,7 +77,7 @@ def first_apart(points: FloatArray, scores: FloatArray, distance: float) -> Floa
     for i in order:
         if all(float(np.abs(points[i] - points[j]).max()) > distance for j in chosen):
             chosen.append(i)
-    # In a small box fewer may lie apart than are asked for.
+    # Within narrow bounds fewer may lie apart than are asked for.
     return np.asarray(points[[*chosen, *(i for i in order if i not in chosen)]])
 
 

@@ -1,4 +1,4 @@
-"""Which stored rows a calibration starts from (warm start), and whether they fill the box."""
+"""Which stored rows a calibration starts from (warm start), and whether they fill the bounds."""
 
 import numpy as np
 

@@ -9,18 +9,18 @@ from simulation.errors import InputError
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How an adaptive calibration searches; what no user sets stands in search_constants.py.
+    """How an adaptive calibration searches; what no user sets stands beside its use.
 
     Attributes:
-        n_parallel: Rows asked per round.
+        n_parallel: Simulations per round.
         ftol: Where the surrogate expects less than this relative gain, a search phase ends; the search ends
-            once tests of that, all over the box, have found nothing. [1]
-        misfit_threshold: Error above which a valley is no answer: the search restarts until its surrogate
-            excludes half the error everywhere, or stops, without converging, once restarts and tests promise
-            no gain; None accepts every valley. [first output's unit squared]
+            once tests of that, everywhere within the bounds, have found nothing. [1]
+        misfit_threshold: Error above which a local minimum is no answer: the search restarts until its
+            surrogate excludes half the error everywhere, or stops, without converging, once restarts and
+            tests promise no gain; None accepts every one. [first output's unit squared]
         target_mse: Go on to this error or the end of the budget, however little is expected; or None. [first
             output's unit squared]
-        max_calls: Most rows that may be asked of the model.
+        max_calls: Most simulations.
     """
 
     n_parallel: int = 1

@@ -8,7 +8,9 @@ size of its steps vary smoothly with the parameters: they show amplitude and per
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
-from studies.calibration.search.constants import SEARCH
+
+# Blocks of time of which features are taken. By hand.
+N_BLOCKS = 4
 
 # Kinds of features, see `TrajectoryFeatures`.
 N_KINDS = 3
@@ -28,7 +30,7 @@ class TrajectoryFeatures:
         self._means = [float(measured[of].mean()) for of in is_of]
         self._sizes = [float(measured[of].std()) or 1.0 for of in is_of]
         self._unit = float(np.mean(self._sizes))
-        self._scale: FloatArray = np.ones((len(is_of), SEARCH.n_blocks, N_KINDS))
+        self._scale: FloatArray = np.ones((len(is_of), N_BLOCKS, N_KINDS))
         self._measured = self._of(measured)
         # Deviation and roughness count relative to what was measured, means relative to its deviation.
         rms = np.sqrt(np.mean(self._measured**2, axis=1, keepdims=True))
@@ -40,7 +42,7 @@ class TrajectoryFeatures:
     @property
     def n_per_output(self) -> int:
         """Features of one output; those of the first output come first."""
-        return SEARCH.n_blocks * N_KINDS
+        return N_BLOCKS * N_KINDS
 
     def differences(self, simulated: FloatArray) -> FloatArray:
         """Return the features less the measured ones. Shape (..., f). [first output's unit].
@@ -59,7 +61,7 @@ class TrajectoryFeatures:
         """Return scaled features of samples (..., m). Shape (..., k, blocks, kinds). [1]."""
         by_output = []
         for of, mean, size in zip(self._is_of, self._means, self._sizes, strict=True):
-            blocks = np.array_split((samples[..., of] - mean) / size, SEARCH.n_blocks, axis=-1)
+            blocks = np.array_split((samples[..., of] - mean) / size, N_BLOCKS, axis=-1)
             by_output.append(np.stack([_kinds(block) for block in blocks], axis=-2))
         return np.stack(by_output, axis=-3) * self._scale
 

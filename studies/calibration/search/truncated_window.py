@@ -12,9 +12,15 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.measurement import Measurement
-from studies.calibration.search.constants import SEARCH
 from studies.calibration.search.switching import switches
-from studies.calibration.search.trajectory_features import TrajectoryFeatures
+from studies.calibration.search.trajectory_features import N_BLOCKS, TrajectoryFeatures
+
+# First truncated window, as a share of the whole (docs/notes/adaptive-search.md, Truncated windows).
+SHORTEST = 1.0 / 32.0
+# Fewest samples in a block of time of which features are taken. By hand.
+LEAST_BLOCK = 8
+# A share of a feature's squares counts so many times a share of the measured variance. By hand.
+FEATURE_WEIGHT = 2.0
 
 
 class TruncatedWindow:
@@ -42,6 +48,8 @@ class TruncatedWindow:
             self._variance[is_flat] = 0.0
         self._features: TrajectoryFeatures | None = None
         self._part = 1.0
+        # None until a search has shown whether it explains enough.
+        self.was_needed: bool | None = None
 
     @property
     def is_whole(self) -> bool:
@@ -68,7 +76,7 @@ class TruncatedWindow:
             residuals: Of one row, all of them. Shape (m,). [first output's unit]
         """
         if self._features is not None:
-            return SEARCH.feature_weight * self._features.unexplained(self._simulated(residuals))
+            return FEATURE_WEIGHT * self._features.unexplained(self._simulated(residuals))
         seen = self.seen(residuals)
         shares = [
             float(np.mean(seen[of[: seen.size]] ** 2)) / variance
@@ -92,11 +100,11 @@ class TruncatedWindow:
 
     def shorten(self, *, to_features: bool = False) -> None:
         """Take the shortest window, or features of all trajectories first, where there are samples enough."""
-        is_enough = self._is_of.sum(axis=1).min() >= SEARCH.least_block * SEARCH.n_blocks
+        is_enough = self._is_of.sum(axis=1).min() >= LEAST_BLOCK * N_BLOCKS
         if to_features and is_enough:
             self._features = TrajectoryFeatures(self._measured, self._is_of)
         # Also where features come first: windows follow them.
-        self._part = SEARCH.shortest
+        self._part = SHORTEST
 
     def double(self) -> None:
         """Double the window; after features, take the shortest one."""

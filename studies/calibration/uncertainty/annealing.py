@@ -21,7 +21,7 @@ from scipy.special import ndtr, ndtri
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.uncertainty.weights import effective_size, normalized
 
-WORTH = 0.6
+LEAST_SHARE = 0.6
 """The power rises until the particles are worth this share of their number."""
 
 # As many steps as forget the start took three times the time for the same errors (docs/notes/uncertainty.md).
@@ -30,7 +30,7 @@ SWEEPS, LAST_SWEEPS = 10, 30
 
 # 2.38 / sqrt(2 p) is the best step where the density is normal (ter Braak 2006).
 # Steps as long as a difference, or of a part of the parameters, brought no gain (docs/notes/uncertainty.md).
-STEP, SHORTEST, LONGEST = 2.38, -1.0, 0.3
+STEP_SCALE, SHORTEST_STEP, LONGEST = 2.38, -1.0, 0.3
 """A step is so many differences over the square root of 2 p, times e to a power drawn between the others."""
 
 EDGE = 1e-12
@@ -191,13 +191,13 @@ class _Annealing:
             return effective_size(self._weights(power)) / len(self._cloud)
 
         # Exactly 1, which a sum of the power and what is left might miss by rounding.
-        if worth(1.0) >= WORTH:
+        if worth(1.0) >= LEAST_SHARE:
             return 1.0
         low, high = 0.0, 1.0 - self._power
         # 60 halvings exhaust the 53 bits of a double.
         for _ in range(60):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if worth(self._power + middle) >= WORTH else (low, middle)
+            low, high = (middle, high) if worth(self._power + middle) >= LEAST_SHARE else (low, middle)
         # The upper end is above 0 whatever the worth, so the power always rises.
         return min(self._power + high, 1.0)
 
@@ -214,7 +214,7 @@ class _Annealing:
         n, p = len(rows), here.shape[1] - 2
         # The two may be the same particle: that step has no length and does no harm.
         one, two = others[self._rng.integers(len(others), size=(2, n))]
-        length = STEP / np.sqrt(2.0 * p) * np.exp(self._rng.uniform(SHORTEST, LONGEST, (n, 1)))
+        length = STEP_SCALE / np.sqrt(2.0 * p) * np.exp(self._rng.uniform(SHORTEST_STEP, LONGEST, (n, 1)))
         difference = self._cloud[one, :-2] - self._cloud[two, :-2]
         there = self._at(here[:, :-2] + length * difference)
         # Metropolis rule without a correction: a difference and its reverse are equally probable.

@@ -187,7 +187,7 @@ LEAST_PARTICLES, CHEAP = 150, 4e5
 """Points that stand for the density at least, where an answer takes more operations than the second."""
 
 # Ends of 25 descents; a narrow valley that even particles would miss is then known from the start.
-N_LOOKS, N_RANDOM, N_ROWS = 400, 20, 5
+N_TRIED, N_FROM_TRIED, N_FROM_STORED = 400, 20, 5
 """Random points, and how many of them and of the stored rows, the best ones, are walked downhill."""
 
 
@@ -268,9 +268,9 @@ def _valleys(
         Where particles begin, and to how many decimals points are rounded.
     """
     p, residuals = emulator.space.n_parameters, emulator.residuals
-    looks = rng.random((N_LOOKS, p))
-    best = np.argsort(-density(looks), kind="stable")[:N_RANDOM]
-    rows = np.argsort(-posterior.at(known.u, known.mse), kind="stable")[:N_ROWS]
+    looks = rng.random((N_TRIED, p))
+    best = np.argsort(-density(looks), kind="stable")[:N_FROM_TRIED]
+    rows = np.argsort(-posterior.at(known.u, known.mse), kind="stable")[:N_FROM_STORED]
     ends, _ = descend_together(residuals, emulator.prior, np.concatenate([known.u[rows], looks[best]]))
     value = density(ends)
     # Descents also end in local minima, which hold no share of the density worth a particle.

@@ -17,11 +17,11 @@ LEVEL = 0.9
 ENDS = 0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL
 """Shares of the probability below the two ends of an interval."""
 
-DETERMINED, OPEN = 0.33, 0.7
+DETERMINED_TO, OPEN = 0.33, 0.7
 """Widths of an interval, as shares of the range where nothing was known before: below the first the data
 determine a parameter, above the second they say next to nothing (0.9 is the width without any data)."""
 
-CLEARLY = 0.5
+CLEARLY_BEYOND = 0.5
 """A combination counts as known where its spread is below this share of that of either of the two."""
 
 NAMED = 0.6
@@ -95,7 +95,7 @@ def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, .
         pair = x[:, i] + x[:, j] if together < 0 else x[:, i] - x[:, j]
         # On linear scales the sum would add quantities of different units.
         both_log = bool(space.is_log[i] and space.is_log[j])
-        is_known = both_log and float(pair.std()) < CLEARLY * min(deviations)
+        is_known = both_log and float(pair.std()) < CLEARLY_BEYOND * min(deviations)
         if is_known or abs(together) >= NAMED:
             known = ("product" if together < 0 else "ratio") if is_known else ""
             alone = min(_half(x[:, i]), _half(x[:, j]))
@@ -124,7 +124,7 @@ def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) 
             before, left_open = _width(float(prior.centre[j]), float(prior.width[j])), "prior"
         # Without data it becomes 0.9, with or without a prior, so one pair of limits serves both.
         share = float(high[j] - low[j]) * LEVEL / before
-        found[name] = "determined" if share < DETERMINED else left_open if share > OPEN else "narrowed"
+        found[name] = "determined" if share < DETERMINED_TO else left_open if share > OPEN else "narrowed"
     return found
 
 

@@ -5,10 +5,10 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.problem import Evaluation
 
-MOST_KNOWN, MOST_ROWS = 250, 400
+MOST_KNOWN, MOST_IN_PROCESS = 250, 400
 """Stored rows that the process is fitted to, and rows in all; its cost grows with their third power."""
 
-N_BEST = 50
+N_MOST_PROBABLE = 50
 """So many of the most probable rows are among them, known or asked, however many were asked."""
 
 SAME_ROW = 1e-3
@@ -40,12 +40,12 @@ def informative_rows(u: FloatArray, log_density: FloatArray, n_known: int | None
     n_best = 0
     is_best = np.zeros(len(u), dtype=np.bool_)
     # Only where asked rows fill the room: else stored rows follow anyway, the best ones first.
-    if len(u) - n_known > MOST_ROWS - N_BEST:
-        is_best[np.argsort(-log_density, kind="stable")[:N_BEST]] = True
+    if len(u) - n_known > MOST_IN_PROCESS - N_MOST_PROBABLE:
+        is_best[np.argsort(-log_density, kind="stable")[:N_MOST_PROBABLE]] = True
     # lexsort sorts by its last key first: asked and best rows, then stored ones, each by density.
     for row in np.lexsort((-log_density, is_known & ~is_best)):
         # Stored rows come last, so their own limit may end the loop.
-        if len(kept) == MOST_ROWS or n_best == MOST_KNOWN:
+        if len(kept) == MOST_IN_PROCESS or n_best == MOST_KNOWN:
             break
         if not np.isfinite(log_density[row]):
             continue

@@ -48,7 +48,7 @@ one, around so many at most."""
 FARTHER = 0.25, 0.1
 """Before a sample is drawn, rows are asked where the density would be with these parts of the caution."""
 
-MORE, SURPRISE = 5.0, 1.0
+MORE, UNEXPECTED = 5.0, 1.0
 """They find more if one's logarithmic density lacks no more than the first to the best one, and is greater
 than expected by the second."""
 
@@ -224,7 +224,7 @@ class PosteriorSampler:
         # Before they are asked, as asking adds them to the rows of which the best is taken.
         before, best = expected(u), float(self._posterior.at(self._rows.u, self._rows.mse).max())
         found = self._posterior.at(u, self._ask(u).mse)
-        self._is_bounded = not bool(np.any((found > best - MORE) & (found > before + SURPRISE)))
+        self._is_bounded = not bool(np.any((found > best - MORE) & (found > before + UNEXPECTED)))
         return not self._is_bounded
 
     @property
