@@ -7,7 +7,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from simulation.errors import ReuseError
-from studies import keywords
+from studies.keywords import check, typed
 from studies.opening import open_task
 from studies.words.console import Console
 
@@ -39,7 +39,7 @@ def verb(function: Callable[P, T]) -> Callable[P, T]:
             hint = f"; did you mean {close[0]!r}?" if close else ""
             raise TypeError(f"{name}() got an unexpected keyword argument {unknown!r}{hint}")
         given = signature.bind(*args, **kwargs).arguments
-        keywords.check(name, given)
+        check(name, given)
         return begun_anew(lambda: function(*args, **kwargs), given.get("console"))
 
     return checked
@@ -76,4 +76,4 @@ def opened(name: str, given: Mapping[str, Any]) -> "Task":
     """
     case = given["case"]
     words = {**given, "case": getattr(case, "path", case)}
-    return open_task(name, words, shown(given.get("console")), keywords.typed(name, words, _DEFAULTS[name]))
+    return open_task(name, words, shown(given.get("console")), typed(name, words, _DEFAULTS[name]))
