@@ -1,9 +1,10 @@
-"""Write `docs/reference/`: the command line, the keys of files and the JSON documents, from the code itself.
+"""Write `docs/reference/`, and the floors of the house, from the code itself.
 
 `python docs/make_reference.py` writes the pages; tests/end_to_end/test_reference.py compares them.
 """
 
 import argparse
+import importlib
 import inspect
 import json
 import re
@@ -16,6 +17,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import grimp
+
 FOLDER = Path(__file__).resolve().parent / "reference"
 if __name__ == "__main__":
     sys.path.insert(0, str(FOLDER.parents[1]))
@@ -27,6 +30,7 @@ from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.results import stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
+PACKAGES = ("simulation", "pelsvae", "studies")
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 KINDS = {bool: "true or false", int: "integer", float: "number", str: "text"}
 CASE_TABLES = {
@@ -86,7 +90,32 @@ def pages() -> dict[str, str]:
             "that a result has not is left out. Arrays lie in `<stage>.npz` beside it.",
             DOCUMENTS,
         ),
+        "../notes/floors.md": "".join(_floors()),
     }
+
+
+def _floors() -> Iterator[str]:
+    """Draw the floors of each package: a part stands above all that it imports."""
+    graph = grimp.build_graph(*PACKAGES)
+    yield f"# Floors of the house\n{MADE}\nA part imports parts of lower floors alone, as the imports say.\n"
+    for package in (*PACKAGES, "studies.calibration"):
+        below = {part: _below(graph, package, part) for part in graph.find_children(package)}
+        floors: dict[str, int] = {}
+        while len(floors) < len(below):
+            ready = [part for part in below if part not in floors and below[part] <= floors.keys()]
+            floors |= {part: max((floors[one] + 1 for one in below[part]), default=0) for part in ready}
+        yield f"\n## {package}\n\n" + _row("floor", "part", "what it is") + _row("---", "---", "---")
+        for part in sorted(floors, key=lambda one: (-floors[one], one)):
+            summary = str(importlib.import_module(part).__doc__).partition("\n")[0]
+            yield _row(str(floors[part]), f"`{part.removeprefix(package + '.')}`", summary)
+
+
+def _below(graph: grimp.ImportGraph, package: str, part: str) -> set[str]:
+    """Return the other parts of a package that a part imports."""
+    within = {part, *graph.find_descendants(part)}
+    imported = {name for module in within for name in graph.find_modules_directly_imported_by(module)}
+    others = (name.split(".") for name in imported - within if name.startswith(f"{package}."))
+    return {".".join(words[: package.count(".") + 2]) for words in others} - {part}
 
 
 def _commands() -> Iterator[str]:
