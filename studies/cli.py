@@ -74,10 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from studies.command_folder import give_temporary_folder
 
             give_temporary_folder()
-        from studies.api.verb import begun_anew
-
-        run = command_module(chosen.command).run
-        return int(begun_anew(lambda: run(chosen, console), console))
+        return int(command_module(chosen.command).run(chosen, console))
     except SystemExit as done:  # help, version
         return int(done.code or 0)
     except (Exception, KeyboardInterrupt) as error:

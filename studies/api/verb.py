@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from functools import wraps
+from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from simulation.errors import ReuseError
@@ -40,7 +40,7 @@ def verb(function: Callable[P, T]) -> Callable[P, T]:
             raise TypeError(f"{name}() got an unexpected keyword argument {unknown!r}{hint}")
         given = signature.bind(*args, **kwargs).arguments
         check(name, given)
-        return begun_anew(lambda: function(*args, **kwargs), given.get("console"))
+        return begun_anew(partial(function, *args, **kwargs), given.get("console"))
 
     return checked
 

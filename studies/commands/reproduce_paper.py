@@ -26,10 +26,12 @@ Examples:
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
+from studies.api.verb import begun_anew
 from studies.commands import options
 from studies.commands.hand_over import OK
 from studies.commands.options import Option
@@ -74,6 +76,10 @@ OPTIONS = (
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    return begun_anew(partial(_run, chosen, console), console)
+
+
+def _run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.paper.items import make
 
     wanted = {ALIASES.get(word, word) for word in chosen.only or ITEMS}
