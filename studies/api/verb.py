@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from simulation.errors import ReuseError
 from studies.keywords import check, typed
 from studies.opening import open_task
+from studies.tracking.guest import settings_of_mlflow_kept
 from studies.words.console import Console
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ def verb(function: Callable[P, T]) -> Callable[P, T]:
             raise TypeError(f"{name}() got an unexpected keyword argument {unknown!r}{hint}")
         given = signature.bind(*args, **kwargs).arguments
         check(name, given)
-        return begun_anew(partial(function, *args, **kwargs), given.get("console"))
+        with settings_of_mlflow_kept():
+            return begun_anew(partial(function, *args, **kwargs), given.get("console"))
 
     return checked
 

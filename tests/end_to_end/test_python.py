@@ -21,6 +21,20 @@ assert "pandas" not in sys.modules and "numpy" not in sys.modules  # import stud
 from studies import calibrate
 calibrate("wall", max_calls=30, seed=1)
 """
+GUEST = """
+import os
+import mlflow
+mlflow.set_tracking_uri("sqlite:///own.db")
+mlflow.set_experiment("mine")
+from studies import calibrate
+with mlflow.start_run():
+    before = dict(os.environ)
+    calibrate("wall", max_calls=30, seed=1, again=True)
+    assert dict(os.environ) == before
+    mlflow.log_metric("mse", 1.0)
+(run,) = mlflow.MlflowClient().search_runs([mlflow.get_experiment_by_name("mine").experiment_id])
+assert run.data.metrics == {"mse": 1.0}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +73,14 @@ def test_a_calibration_is_that_of_the_command_line(
     assert found.theta["value"].to_dict() == stage["theta"]
     assert found.mse == stage["mse"]
     assert found.calls == stage["ledger"]["n_adaptive"] > 0
+
+
+def test_mlflow_stays_as_a_script_has_set_it(project: Path) -> None:
+    # As a module, for a script may forget the guard of its main part.
+    (project / "guest.py").write_text(GUEST, encoding="utf-8")
+    command = [sys.executable, "-c", "import guest"]
+    done = subprocess.run(command, cwd=project, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_trajectories_give_the_error_again(found: CalibrationResult) -> None:
