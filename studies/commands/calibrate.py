@@ -41,7 +41,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.hand_over import document, keywords_of
+from studies.commands.hand_over import document, foretold, keywords_of
 from studies.commands.options import Option
 from studies.words.console import Console
 
@@ -71,11 +71,14 @@ OPTIONS = (
     Option("--target", metavar="MSE", help="adaptive: go on until this error"),
     options.sizes("paper: training-set sizes; default: all that have a surrogate"),
     *options.calls("most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"),
+    options.DRY_RUN,
 )
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    if chosen.dry_run:
+        return foretold(chosen, console)
     from studies.api.calibrations import calibrate
     from studies.stages.shown import show_calibrations
 

@@ -30,7 +30,8 @@ def foretold(chosen: argparse.Namespace, console: Console) -> int:
     from studies.forecast import foretell
     from studies.opening import open_task
 
-    foretell(open_task(chosen.command, vars(chosen), console, ""), chosen.command)
+    given = vars(chosen)
+    foretell(open_task(chosen.command, given, console, ""), chosen.command, given)
     return OK
 
 

@@ -65,9 +65,10 @@ SIMULATION = (
     ),
 )
 SIMULATED = (*CASE, *SIMULATION)
+DRY_RUN = Option("--dry-run", action="store_true", help="show the plan and how long it takes; write nothing")
 TRIALS = (
     Option("--trials", metavar="N", help="trials per size in total; default: the profile's"),
-    Option("--dry-run", action="store_true", help="show the plan and known durations; write nothing"),
+    DRY_RUN,
 )
 
 

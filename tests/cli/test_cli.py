@@ -138,12 +138,18 @@ def test_a_plan_says_what_is_to_do_and_writes_nothing(new_project: Path, studies
     before = sorted(new_project.rglob("*"))
     document = studies("run", "--profile", "smoke", "--dry-run", "--json").document
     assert document["n_simulations"] == 96
+    assert [one["stage"] for one in document["plan"]] == ["simulate", "sensitivity", "polish"]
+    assert all(one["simulations_s"] > 0.0 for one in document["plan"])
     assert document["sizes"] == [
         {"n_train": n_train, "n_left": 2, "training_s": None} for n_train in (16, 32)
     ]
     shown = studies("tune", "--profile", "smoke", "--dry-run").out
-    assert "96 of 96" in shown
+    assert re.search(r"^ simulations of the sets +96 +[\d.]+ ms$", shown, re.MULTILINE)
     assert "unknown before the first trial" in shown
+    (search,) = studies("calibrate", "--max-calls", "7", "--dry-run", "--json").document["plan"]
+    assert (search["stage"], search["n_simulations"]) == ("search", 7)
+    # One after the other, each in a process of its own.
+    assert search["simulations_s"] > 7 * document["simulation_s"]
     assert sorted(new_project.rglob("*")) == before
 
 
