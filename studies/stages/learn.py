@@ -68,6 +68,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
             until_s=None if task.max_hours is None else time.time() + 3600.0 * task.max_hours,
             provenance=task.provenance(kind="training"),
             on_trials=show,
+            on_warning=task.console.warn,
         )
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]

@@ -104,6 +104,15 @@ class RunStore:
         run = self.client.create_run(self.experiment(label), start_time=start, run_name=name, tags=said)
         return str(run.info.run_id)
 
+    def is_there(self, run_id: str) -> bool:
+        """Whether a run exists and was not deleted, as its owner may in MLflow."""
+        try:
+            return bool(self.client.get_run(run_id).info.lifecycle_stage == "active")
+        except mlflow.MlflowException as error:
+            if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+                raise
+            return False
+
     def log(
         self,
         run_id: str,

@@ -1,10 +1,8 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import optuna
-from mlflow.exceptions import MlflowException
 
 from studies.results.declaration import Declaration
 from studies.tracking.runs import RunStore, register_best
@@ -19,11 +17,9 @@ BEST = "best"
 
 def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None) -> str:
     """Open the run of a study, a new one or the one it has, and return its id."""
-    if run_id is not None:
-        with suppress(MlflowException):  # deleted by its user
-            if runs.client.get_run(run_id).info.lifecycle_stage == "active":
-                runs.client.update_run(run_id, status="RUNNING")
-                return run_id
+    if run_id is not None and runs.is_there(run_id):
+        runs.client.update_run(run_id, status="RUNNING")
+        return run_id
     role = "baseline study" if spec.is_baseline else "study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
     tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
@@ -47,20 +43,31 @@ def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> Non
             end_run(runs, run.info.run_id, trial)
 
 
-def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str) -> None:
-    """Write what a study came to on its run, mark and register its best trial, and end the run."""
-    best = found.best
+def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str) -> str:
+    """Write what a study came to on its run, mark and register its best trial, and end the run.
+
+    Returns:
+        What is in the way of the mark and the registration, in one line; "" where nothing is.
+    """
+    best, fault = found.best, ""
+    if best is not None and not runs.is_there(best.run_id):
+        fault = (
+            f"{spec.name}: the run of its best trial, {best.number}, was deleted in MLflow, so it is not "
+            f"registered; to have it back: mlflow runs restore --run-id {best.run_id}"
+        )
     numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
     if best is not None:
         numbers |= {f"best/{name}": value for name, value in best.metrics.items()}
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
         if found.gain is not None:
             numbers["best/gain_over_default"] = found.gain
-        mark_best(runs, spec, best)
-        if not spec.is_baseline:
+        if not fault:
+            mark_best(runs, spec, best)
+        if not fault and not spec.is_baseline:
             register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED")
+    return fault
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

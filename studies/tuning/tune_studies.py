@@ -1,5 +1,6 @@
 """Tune the surrogates of several training-set sizes side by side, in worker processes."""
 
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -50,10 +51,11 @@ class _Part:
             attempts.retry_lost(self.study)
         end_left_runs(self.runs, self.study, self.spec)
 
-    def close(self) -> TunedStudy:
+    def close(self, on_warning: Callable[[str], None]) -> TunedStudy:
         """Register the best surrogate of a study and end its run."""
         found = read_study(self.study)
-        close_study(self.runs, self.spec, found, self.run_id)
+        if fault := close_study(self.runs, self.spec, found, self.run_id):
+            on_warning(fault)
         self.study.set_user_attr(attempts.CLOSED, len(found.trials))
         return found
 
@@ -118,6 +120,7 @@ class _Size:
                 part.runs.end(part.run_id, "KILLED")
 
 
+_LOG = logging.getLogger(__name__)
 OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
 
 
@@ -131,6 +134,7 @@ def tune(
     until_s: float | None = None,
     provenance: Mapping[str, Any] | None = None,
     on_trials: OnTrials = lambda spec, trials: None,
+    on_warning: Callable[[str], None] = _LOG.warning,
 ) -> list[TunedStudy]:
     """Bring every study to `n_trials` trials and register its best surrogate.
 
@@ -147,6 +151,7 @@ def tune(
         until_s: no trial begins after this moment. [s since 1970, UTC]
         provenance: what makes the data sets again, kept with every trial.
         on_trials: called with the trials of a study that is worked on, about twice a second.
+        on_warning: called with one line that a user should see.
 
     Returns:
         The studies as they stand, in the order given.
@@ -191,7 +196,7 @@ def tune(
                     on_trials(part.spec, part.trials)
                 for size in largest_first if may_begin or is_late else []:
                     if not size.workers and size not in waiting and not size.results:
-                        size.results = {part.spec.name: part.close() for part in size.parts}
+                        size.results = {part.spec.name: part.close(on_warning) for part in size.parts}
                 if not busy and not waiting:
                     break
                 time.sleep(POLL_S)

@@ -114,10 +114,15 @@ class Worker:
         on_begun()
         if trial.relative_params and attempts.PROPOSED_BY not in trial.user_attrs:
             trial.set_user_attr(attempts.PROPOSED_BY, spec.sampler["name"])
-        params = suggested(trial, spec.space, spec.base_config)
+        try:
+            params = suggested(trial, spec.space, spec.base_config)
+            config = spec.config(params)
+        except (TypeError, ValueError) as error:
+            # What another program has enqueued may be no value of the search space.
+            trial.set_user_attr("reason", reason := f"its enqueued values are refused: {error}")
+            raise TrialFailedError(reason) from error
         place = attempts.place_of(trials[trial.number], trials)
         seed = spec.trial_seed(place, 1)
-        config = spec.config(params)
         record = {**self._study.user_attrs.get(attempts.PROVENANCE, {}), "declaration": spec.to_dict()}
         record |= {"params": params, "seed": seed, "environment": self._environment}
         # What has an effect on this form of surrogate.

@@ -16,6 +16,7 @@ from toy_study_for_tests import (
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
+from studies.tracking.runs import RunStore
 from studies.tuning.study_results import read_studies
 from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
@@ -56,6 +57,33 @@ def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: Project
     assert found.best.run_id
     assert found.count("running") == 2
     assert not [run for run in runs_of(copied, spec.label) if run.info.status == "RUNNING"]
+
+
+def test_an_enqueued_value_of_no_kind_fails_its_trial_and_no_other(copied: ProjectPaths) -> None:
+    spec = tuned_study(16)
+    study = plain_study(copied, spec.name)
+    study.enqueue_trial({"n_latent": 5, "n_hidden": 17, "beta": "ten"})
+    tune([spec], paths=copied, n_trials=N_TUNED + 2, n_jobs=1, until_s=0.0)
+    Worker(copied, spec.name).run()
+    refused, other = study.get_trials()[N_TUNED:]
+    assert refused.state == TrialState.FAIL
+    assert refused.user_attrs["reason"].startswith("its enqueued values are refused: 'ten'")
+    assert other.state in (TrialState.COMPLETE, TrialState.PRUNED)
+
+
+def test_a_best_run_that_was_deleted_is_named_and_work_goes_on(copied: ProjectPaths) -> None:
+    spec, said = tuned_study(16), list[str]()
+    best = next(one.best for one in read_studies(copied) if one.spec.name == spec.name)
+    assert best is not None
+    runs = RunStore(copied)
+    runs.client.delete_run(best.run_id)
+    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1, on_warning=said.append)
+    (line,) = said
+    assert line.endswith(f"mlflow runs restore --run-id {best.run_id}")
+    # Its owner has it back, and the next command marks and registers it again.
+    runs.client.restore_run(best.run_id)
+    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1, on_warning=said.append)
+    assert said == [line]
 
 
 def test_studies_of_other_programs_are_left_alone(copied: ProjectPaths) -> None:
