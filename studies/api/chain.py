@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from simulation.trajectories import Trajectories
 from studies.api.calibrations import CalibrationResult, best_of
 from studies.api.judgements import CheckResult, UnsoundError
+from studies.api.result import Result
 from studies.api.verb import opened, verb
 from studies.calibration.sobol import SobolIndices
 from studies.keywords import Surrogate
@@ -24,17 +25,8 @@ if TYPE_CHECKING:
     from studies.task import Task
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationResult:
-    """The sets of simulations behind the surrogates.
-
-    Attributes:
-        task: Case, profile and project.
-        outcome: What the stage came to.
-    """
-
-    task: "Task"
-    outcome: Outcome[SimulatedSets]
+class SimulationResult(Result[SimulatedSets]):
+    """The sets of simulations behind the surrogates."""
 
     def read(self, name: str) -> Trajectories:
         """Read a set: parameters, outputs and output times.
@@ -45,17 +37,8 @@ class SimulationResult:
         return RowSet.load(self.task.paths.root / self.outcome.result.files[name]).read()
 
 
-@dataclass(frozen=True, eq=False)
-class SensitivityResult:
-    """Sobol indices of the outputs.
-
-    Attributes:
-        task: Case, profile and project.
-        outcome: What the stage came to.
-    """
-
-    task: "Task"
-    outcome: Outcome[SobolIndices]
+class SensitivityResult(Result[SobolIndices]):
+    """Sobol indices of the outputs."""
 
     @cached_property
     def indices(self) -> "pd.DataFrame":

@@ -1,12 +1,13 @@
 """`check`, `uncertainty`, `predict` and `report`: what is to be thought of a case and of its calibration."""
 
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
+from studies.api.result import Result
 from studies.api.verb import opened, verb
+from studies.doctor.finding import Diagnosis
 from studies.keywords import Method, Noise, Surrogate
 from studies.opening import sizes
 from studies.results.outcome import Outcome
@@ -19,21 +20,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from simulation.case import Case
-    from studies.doctor.finding import Diagnosis
     from studies.task import Task
 
 
-@dataclass(frozen=True, eq=False)
-class CheckResult:
-    """What an examination of a case came to.
-
-    Attributes:
-        task: Case, profile and project.
-        outcome: What the stage came to.
-    """
-
-    task: "Task"
-    outcome: "Outcome[Diagnosis]"
+class CheckResult(Result[Diagnosis]):
+    """What an examination of a case came to."""
 
     @property
     def is_sound(self) -> bool:
@@ -62,17 +53,8 @@ class UnsoundError(StageError):
         self.checked = checked
 
 
-@dataclass(frozen=True, eq=False)
-class UncertaintyResult:
-    """How sure a calibration is.
-
-    Attributes:
-        task: Case, profile and project.
-        outcome: What the stage came to.
-    """
-
-    task: "Task"
-    outcome: Outcome[Uncertainty]
+class UncertaintyResult(Result[Uncertainty]):
+    """How sure a calibration is."""
 
     @cached_property
     def parameters(self) -> "pd.DataFrame":
@@ -93,17 +75,8 @@ class UncertaintyResult:
         return frame.assign(weight=found.weights)
 
 
-@dataclass(frozen=True, eq=False)
-class PredictionResult:
-    """A calibrated model with other inputs.
-
-    Attributes:
-        task: Case, profile and project.
-        outcome: What the stage came to.
-    """
-
-    task: "Task"
-    outcome: Outcome[Prediction]
+class PredictionResult(Result[Prediction]):
+    """A calibrated model with other inputs."""
 
     @cached_property
     def table(self) -> "pd.DataFrame":
@@ -113,17 +86,8 @@ class PredictionResult:
         return pd.DataFrame(dict(self.outcome.result.columns())).set_index("time_s")
 
 
-@dataclass(frozen=True, eq=False)
-class ReportResult:
-    """The page of a case and a profile.
-
-    Attributes:
-        task: Case, profile and project.
-        outcome: What the stage came to.
-    """
-
-    task: "Task"
-    outcome: Outcome[Reported]
+class ReportResult(Result[Reported]):
+    """The page of a case and a profile."""
 
     @property
     def page(self) -> Path:
