@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simulation.errors import InputError
-from studies.api.verb import opened, verb
+from studies.api.verb import HasPath, opened, verb
 from studies.keywords import Method, Noise, Surrogate
 from studies.opening import sizes
 from studies.results.outcome import Outcome
@@ -21,7 +21,6 @@ from studies.words.wording import axis_label, quantity, square_of
 if TYPE_CHECKING:
     import pandas as pd
 
-    from simulation.case import Case
     from studies.api.judgements import PredictionResult, UncertaintyResult
     from studies.task import Task
 
@@ -206,7 +205,7 @@ class CalibrationResult:
 
 @verb
 def calibrate(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     method: Method | None = None,
     n_train: int | Sequence[int] | None = None,
@@ -229,7 +228,7 @@ def calibrate(
     """Find the parameters that fit the measurement best, as `studies calibrate`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         method: "adaptive" needs no training set; "paper" screens on the surrogate and polishes on the FMU.
             None for adaptive, or for paper where `n_train` is given.
         n_train: Training-set sizes of the paper's method; None for all that have a surrogate.

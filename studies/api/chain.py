@@ -10,7 +10,7 @@ from simulation.trajectories import Trajectories
 from studies.api.calibrations import CalibrationResult, best_of
 from studies.api.judgements import CheckResult, UnsoundError
 from studies.api.result import Result
-from studies.api.verb import opened, verb
+from studies.api.verb import HasPath, opened, verb
 from studies.calibration.sobol import SobolIndices
 from studies.keywords import Surrogate
 from studies.results.outcome import Outcome
@@ -21,7 +21,6 @@ from studies.words.console import Console
 if TYPE_CHECKING:
     import pandas as pd
 
-    from simulation.case import Case
     from studies.task import Task
 
 
@@ -108,7 +107,7 @@ class RunResult(CalibrationResult):
 
 @verb
 def simulate(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
@@ -123,7 +122,7 @@ def simulate(
     """Simulate the training, validation and test sets, as `studies simulate`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
@@ -149,7 +148,7 @@ def simulate(
 
 @verb
 def sensitivity(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
@@ -164,7 +163,7 @@ def sensitivity(
     """Say which parameters the outputs depend on, as `studies sensitivity`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
@@ -190,7 +189,7 @@ def sensitivity(
 
 @verb
 def tune(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     n_train: int | Sequence[int] | None = None,
     trials: int | None = None,
@@ -209,7 +208,7 @@ def tune(
     """Tune one surrogate per training-set size with Optuna, as `studies tune`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         n_train: Training-set sizes; None for the profile's.
         trials: Trials per size in all; None for the profile's.
         parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.
@@ -242,7 +241,7 @@ def tune(
 
 @verb
 def run(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     n_train: int | Sequence[int] | None = None,
     trials: int | None = None,
@@ -263,7 +262,7 @@ def run(
     """Do all stages of the paper in order, as `studies run`, and skip finished ones.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         n_train: Training-set sizes; None for the profile's.
         trials: Trials per size in all; None for the profile's.
         parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.

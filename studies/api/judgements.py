@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
 from studies.api.result import Result
-from studies.api.verb import opened, verb
+from studies.api.verb import HasPath, opened, verb
 from studies.doctor.finding import Diagnosis
 from studies.keywords import Method, Noise, Surrogate
 from studies.opening import sizes
@@ -19,7 +19,6 @@ from studies.words.wording import NATIVE_CODE
 if TYPE_CHECKING:
     import pandas as pd
 
-    from simulation.case import Case
     from studies.task import Task
 
 
@@ -97,7 +96,7 @@ class ReportResult(Result[Reported]):
 
 @verb
 def check(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     thorough: bool = False,
     profile: str | Path = "quick",
@@ -111,7 +110,7 @@ def check(
     """Examine a case before its simulations are paid for, as `studies check`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         thorough: Skip no examination, however long the simulations take.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
@@ -137,7 +136,7 @@ def check(
 
 @verb
 def uncertainty(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     method: Method | None = None,
     n_train: int | None = None,
@@ -157,7 +156,7 @@ def uncertainty(
     """Say how sure the calibration is, as `studies uncertainty`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         method: Method of the calibration; None for adaptive if there is one.
         n_train: The calibration with this training-set size; None for the best.
         noise: Model of the residuals.
@@ -213,7 +212,7 @@ def uncertainty_of(
 
 @verb
 def predict(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     inputs: "str | Path | pd.DataFrame | None" = None,
     experiment: str | None = None,
@@ -232,7 +231,7 @@ def predict(
     """Simulate the calibrated model with other inputs, as `studies predict`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         inputs: A CSV file, a folder of such files, or a frame, with the columns of the case's inputs.
         experiment: The experiment to simulate, of a case with several.
         method: Method of the calibration; None for adaptive if there is one.
@@ -297,7 +296,7 @@ def _as_file(task: "Task", frame: "pd.DataFrame") -> Path:
 
 @verb
 def report(
-    case: "str | Path | Case" = "office",
+    case: str | Path | HasPath = "office",
     *,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
@@ -310,7 +309,7 @@ def report(
     """Write the page of a case and a profile, as `studies report`.
 
     Args:
-        case: Name, file or folder of a case, or a case that was read.
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.

@@ -4,7 +4,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from functools import partial, wraps
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from simulation.errors import ReuseError
 from studies.keywords import check, typed
@@ -14,6 +15,15 @@ from studies.words.console import Console
 
 if TYPE_CHECKING:
     from studies.task import Task
+
+
+class HasPath(Protocol):
+    """A case that was read, or a `Problem` of objects: it knows its case file."""
+
+    @property
+    def path(self) -> Path:
+        """The case file."""
+
 
 P = ParamSpec("P")
 T = TypeVar("T")
