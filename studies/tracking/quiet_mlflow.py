@@ -33,13 +33,17 @@ def connect(uri: str) -> mlflow.MlflowClient:
     """Open the store at a URI for runs and models alike; an SQLite file gets its schema here (some 7 s)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # MLflow's registry asks clients of its own, which know the process's store alone.
-        # MLflow also writes the URI into the environment, and another environment needs another fork server.
-        with environment_restored():
-            mlflow.set_tracking_uri(uri)
+        use(uri)
         client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client
+
+
+def use(uri: str) -> None:
+    """Make a store that of the process: MLflow's registry, artifacts and searches know no other one."""
+    # MLflow also writes the URI into the environment, and another environment needs another fork server.
+    with environment_restored():
+        mlflow.set_tracking_uri(uri)
 
 
 def make_database(file: Path) -> None:

@@ -27,7 +27,7 @@ from studies.paths import ProjectPaths, folder_name, opening
 from studies.results.declaration import ALIAS, Declaration
 from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow, storing_files
+from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow, storing_files, use
 from studies.words.wording import difference_unit
 
 if TYPE_CHECKING:
@@ -165,10 +165,15 @@ class RunStore:
         self.client.set_terminated(run_id, status, None if end_s is None else round(1000.0 * end_s))
 
 
-@lru_cache(maxsize=4)
+_opened = lru_cache(maxsize=4)(RunStore)
+
+
 def run_store(paths: ProjectPaths) -> RunStore:
-    """Return the project's runs; opening them costs MLflow's import, so it is done once per process."""
-    return RunStore(paths)
+    """Return the runs of a project; opening them costs MLflow's import, so it is done once per process."""
+    store = _opened(paths)
+    # A script may have used its own store since.
+    use(paths.tracking_uri)
+    return store
 
 
 def log_stage(

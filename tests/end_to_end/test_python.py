@@ -26,11 +26,12 @@ import os
 import mlflow
 mlflow.set_tracking_uri("sqlite:///own.db")
 mlflow.set_experiment("mine")
-from studies import calibrate
+from studies import calibrate, reproduce
 with mlflow.start_run():
     before = dict(os.environ)
-    calibrate("wall", max_calls=30, seed=1, again=True)
+    name = calibrate("wall", max_calls=30, seed=1, again=True).name
     assert dict(os.environ) == before
+    assert reproduce(name, jobs=1).is_equal  # in the project's store again
     mlflow.log_metric("mse", 1.0)
 (run,) = mlflow.MlflowClient().search_runs([mlflow.get_experiment_by_name("mine").experiment_id])
 assert run.data.metrics == {"mse": 1.0}
