@@ -66,7 +66,7 @@ def test_hyperparameters_are_kept_where_few_rows_are_new() -> None:
     first = ProcessGroups.fit(features, u[:8], residuals[:8])
     kept = ProcessGroups.fit(features, u, residuals, first.hyper, refits=False)
     np.testing.assert_array_equal(np.concatenate(kept.hyper), np.concatenate(first.hyper))
-    # Every row counts up to 32, a tenth one at 320.
-    assert all(is_refitted(n + 1, n) for n in range(32))
-    assert not is_refitted(329, 320)
-    assert is_refitted(331, 320)
+    # Every row counts up to 127, a fifth one at 320.
+    assert all(is_refitted(n + 1, n) for n in range(127))
+    assert not is_refitted(324, 320)
+    assert is_refitted(325, 320)

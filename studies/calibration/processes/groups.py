@@ -34,14 +34,15 @@ CLOSER, PER_COMPONENT = 0.7, 2.0
 NOISE_POWER, ERROR_NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
 
 
-# Hyperparameters are fitted again where rows have grown by this part of themselves: a fit takes some fifty
-# factorizations, a round few. Up to 32 rows each row counts.
-WORTH_A_FIT = 1 / 32
+# Hyperparameters are fitted again after one row for so many, and after each of the first ones: a fit takes
+# some fifty factorizations, a round few. With 32, a search of 80 calls took 7 more
+# (docs/notes/adaptive-search.md, Thinking between two simulations).
+ROWS_PER_FIT = 64
 
 
 def is_refitted(n_rows: int, n_fitted: int) -> bool:
     """Return whether so many rows are worth another fit of hyperparameters, after one to so many."""
-    return abs(n_rows - n_fitted) >= WORTH_A_FIT * n_rows
+    return not n_fitted or abs(n_rows - n_fitted) >= max(1, n_rows // ROWS_PER_FIT)
 
 
 class Part(NamedTuple):
