@@ -141,15 +141,19 @@ def check(verb: str, given: Mapping[str, Any]) -> None:
 
 def _check(where: str, name: str, value: Any) -> None:
     try:
-        read = READERS[name](_as_text(value))
+        read = READERS[name](as_text(value))
     except argparse.ArgumentTypeError as error:
         raise InputError(f"{where}: {error}") from None
     if isinstance(value, str) and not isinstance(read, (str, Window)):
         raise InputError(f"{where}: {value!r} is a text; give the number")
 
 
-def _as_text(value: Any) -> str:
-    """Write a value as the command line has it; a window may be two days, inputs may be a frame."""
+def as_text(value: Any) -> str:
+    """Write a value as the command line has it; a window may be two days, inputs may be a frame.
+
+    Args:
+        value: Of a keyword.
+    """
     if isinstance(value, tuple):
         return "-".join(map(str, value))
     return "FRAME" if hasattr(value, "to_csv") else str(value)
@@ -176,5 +180,5 @@ def typed(verb: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> s
         elif isinstance(value, (list, tuple)) and name != "window":
             words += [option, *map(str, value)]
         else:
-            words += [option, _as_text(value)]
+            words += [option, as_text(value)]
     return shlex.join(words)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError, MachineError
-from studies.keywords import Window, window
+from studies.keywords import Window, as_text, window
 from studies.paths import find_case, find_project, mark_project
 from studies.words.console import Console
 
@@ -77,7 +77,7 @@ def _window(value: Any) -> Window | None:
     """Return the window that a text, two days or a window mean."""
     if value is None or isinstance(value, Window):
         return value
-    return window("-".join(map(str, value)) if isinstance(value, tuple) else str(value))
+    return window(as_text(value))
 
 
 def _changed(profile: "Profile", verb: str, keywords: Mapping[str, Any]) -> "Profile":
