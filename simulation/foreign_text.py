@@ -1,5 +1,6 @@
 """Texts of others, as names, titles and messages: without signs that a terminal obeys, and not endless."""
 
+import json
 import re
 
 MOST_QUOTED = 200
@@ -53,3 +54,12 @@ def not_a_formula(text: str) -> str:
 def without_pictures(markdown: str) -> str:
     """Return a note in Markdown without pictures and HTML, which a browser would fetch from others."""
     return markdown.replace("![", "!\\[").replace("<", "&lt;")
+
+
+def toml_text(text: str) -> str:
+    """Return a text as a string of TOML, whose escapes are JSON's; DEL is escaped as well.
+
+    Args:
+        text: The text.
+    """
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

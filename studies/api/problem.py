@@ -1,6 +1,5 @@
 """A case made of objects: an FMU, recorded series and bounds, in place of a case file and CSV files."""
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
 from simulation.errors import InputError
 from simulation.fmi.description import read_description
-from simulation.foreign_text import not_a_formula
+from simulation.foreign_text import not_a_formula, toml_text
 from simulation.whole_file import whole_file
 from studies.paths import find_project, folder_name, mark_project
 from studies.words.console import Console
@@ -207,22 +206,26 @@ def _toml(document: Keys) -> str:
     lines, tables = list[str](), list[str]()
     for key, value in document.items():
         if isinstance(value, Mapping):
-            tables += [f"[{_key(key)}]", *(f"{_key(k)} = {_value(v)}" for k, v in value.items()), ""]
+            tables += [
+                f"[{toml_text(key)}]",
+                *(f"{toml_text(k)} = {_value(v)}" for k, v in value.items()),
+                "",
+            ]
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
             for entry in value:
-                tables += [f"[[{_key(key)}]]", *(f"{_key(k)} = {_value(v)}" for k, v in entry.items()), ""]
+                tables += [
+                    f"[[{toml_text(key)}]]",
+                    *(f"{toml_text(k)} = {_value(v)}" for k, v in entry.items()),
+                    "",
+                ]
         elif not (isinstance(value, list) and not value):
-            lines.append(f"{_key(key)} = {_value(value)}")
+            lines.append(f"{toml_text(key)} = {_value(value)}")
     return "\n".join([*lines, "", *tables])
-
-
-def _key(name: str) -> str:
-    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _value(value: Any) -> str:
     if isinstance(value, str):
-        return _key(value)
+        return toml_text(value)
     if isinstance(value, bool | np.bool_):
         return str(bool(value)).lower()
     if isinstance(value, int | np.integer):
@@ -230,7 +233,7 @@ def _value(value: Any) -> str:
     if isinstance(value, float | np.floating):
         return repr(float(value)) if math.isfinite(value) else f"{float(value)}"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(key)} = {_value(one)}" for key, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{toml_text(key)} = {_value(one)}" for key, one in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_value, value)) + "]"
     raise InputError(f"a case file cannot hold {value!r}; give a text, a number, a list or a table")

@@ -1,6 +1,5 @@
 """The files of a new case: case.toml, its lines that need the user marked EDIT, README and examples."""
 
-import json
 import math
 import re
 import shlex
@@ -13,6 +12,7 @@ from jinja2 import Environment
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.own_time import clock_of
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from simulation.foreign_text import toml_text
 from studies.new.choice import Choice, Times, bounds_for, inputs_of, other_parameters
 from studies.templates import environment
 
@@ -97,7 +97,7 @@ def _environment() -> Environment:
     known: dict[str, Any] = made.globals
     known |= {"bounds_for": bounds_for, "reals": REAL_KINDS, "temperatures": ("K", "degC", "°C")}
     made.filters |= {
-        "toml": _toml,
+        "toml": toml_text,
         "line": _line,
         "number": _number,
         "quote": shlex.quote,
@@ -111,14 +111,9 @@ def _environment() -> Environment:
     return made
 
 
-def _toml(text: str) -> str:
-    """Return a TOML string: its escapes are JSON's, and DEL is escaped as well."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
 def _key(name: str) -> str:
     """Return a key of TOML, in quotes where it needs them."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_text(name)
 
 
 def _comment(block: str) -> str:
@@ -160,7 +155,7 @@ def _start(variable: FmuVariable) -> str:
     text = variable.start_text
     if variable.kind == "Boolean":
         return "true" if text.strip().lower() in ("true", "1") else "false"
-    return _toml(text) if variable.kind == "String" else text or "0"
+    return toml_text(text) if variable.kind == "String" else text or "0"
 
 
 def _csv(variables: tuple[FmuVariable, ...], step_s: float) -> str:
