@@ -11,6 +11,8 @@ Optimizer = Literal["adam", "adamw"]
 Schedule = Literal["constant", "one-cycle"]
 Device = Literal["auto", "cpu", "cuda"]
 Regressor = Literal["network", "gaussian-process"]
+Decoder = Literal["layers", "state-space"]
+States = Literal["stores", "modes"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +25,12 @@ class SurrogateConfig:
 
     Attributes:
         regressor: What leads from theta to the latent code: layers, or Gaussian processes.
+        decoder: What leads from code and theta to the trajectory: layers, or a linear network of states that
+            the recorded inputs drive (`state_space`). The latter takes no part in the settings of epochs and
+            batches in the same way: an epoch is STEPS_PER_EPOCH optimizer steps, whatever the rows.
+        states: Of a state-space decoder: "stores" with conductances between them, or damped "modes".
+        n_stores: States of "stores", pairs of states of "modes".
+        sparsity: What a power of a parameter costs in a state-space decoder, times the logarithm of its size.
         n_scales: Scales of a process's kernel, each with a length per feature.
         degree: Of the polynomial in a process's kernel, 1 or 2.
         n_members: Most processes with different likely kernels that are averaged; fewer where rows are many.
@@ -51,6 +59,11 @@ class SurrogateConfig:
     """
 
     regressor: Regressor = "network"
+    decoder: Decoder = "layers"
+    states: States = "stores"
+    # Three or four fit an office alike (docs/notes/adaptive-search.md, A hidden network).
+    n_stores: int = 4
+    sparsity: float = 1.0
     # Two scales cost 3 to 7 % more error at n = 1,024 (docs/notes/surrogates.md).
     n_scales: int = 3
     # A quadratic part beside the linear one: 0.458 instead of 0.480 K on the office at n = 64.
@@ -89,7 +102,7 @@ class SurrogateConfig:
             _check_type(name, getattr(self, name), hint)
         for name in (
             "n_latent", "n_hidden", "n_latent_samples", "n_prediction_samples",
-            "batch_size", "max_epochs", "patience", "validate_every", "n_scales", "n_members",
+            "batch_size", "max_epochs", "patience", "validate_every", "n_scales", "n_members", "n_stores",
         ):  # fmt: skip
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)} must be at least 1")
@@ -99,7 +112,7 @@ class SurrogateConfig:
             raise ValueError(f"degree = {self.degree} must be 1 or 2")
         if self.n_threads is not None and self.n_threads < 1:
             raise ValueError(f"n_threads = {self.n_threads} must be at least 1, or None")
-        for name in ("beta", "learning_rate"):
+        for name in ("beta", "learning_rate", "sparsity"):
             if not 0.0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"{name} = {getattr(self, name)} must be positive and finite")
         if not 0.0 <= self.weight_decay < float("inf"):
@@ -185,6 +198,24 @@ VARIANTS: dict[str, SurrogateConfig] = {
         # All epochs: with a one-cycle schedule an error that stands still early says little.
         patience=300,
     ),
+    "state-space": SurrogateConfig(
+        decoder="state-space",
+        n_latent=16,
+        n_hidden=96,
+        n_layers=3,
+        activation="silu",
+        residual=True,
+        theta_features="linear+log",
+        beta=6.0,
+        n_prediction_samples=1,
+        batch_size=64,
+        learning_rate=3e-3,
+        optimizer="adamw",
+        schedule="one-cycle",
+        # The steps of 300 epochs of 8 steps; twice as many halve the error of 2,000 rows.
+        max_epochs=300,
+        patience=300,
+    ),
     "pca-gp": SurrogateConfig(
         regressor="gaussian-process",
         n_latent=256,
@@ -194,4 +225,5 @@ VARIANTS: dict[str, SurrogateConfig] = {
     ),
 }
 """Named forms of the same Eq. 3-7: "paper" as published, "refined" with what was found to help the networks,
+"state-space" with a decoder that knows the inputs,
 "pca-gp" with principal components and Gaussian processes between them, the baseline."""

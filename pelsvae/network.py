@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -14,7 +15,7 @@ _SCALE_RATE = 6.0  # a feature's scale learns so many times faster than a weight
 
 
 class PelsVae(nn.Module):
-    """Physics-enhanced latent space variational autoencoder.
+    """Physics-enhanced latent space variational autoencoder: encoder and regressor; subclasses decode.
 
     With `residual` each hidden layer adds to what the layers before gave and reads theta too, and each
     feature of theta has a learnt scale. So the networks can be deep; measured in docs/paper.md.
@@ -31,7 +32,7 @@ class PelsVae(nn.Module):
     def __init__(
         self, n_features: int, n_outputs: int, config: SurrogateConfig, generator: torch.Generator
     ) -> None:
-        """Build the three networks with weights drawn from a generator.
+        """Build encoder and regressor with weights drawn from a generator.
 
         Args:
             n_features: Features of theta, f.
@@ -41,22 +42,11 @@ class PelsVae(nn.Module):
         """
         super().__init__()
         f, z, h = n_features, config.n_latent, config.n_hidden
-
-        def linear(n_in: int, n_out: int, fan_in: int | None = None, bias: bool = True) -> nn.Linear:
-            layer = _Linear(n_in, n_out, bias=bias)
-            bound = 1.0 / math.sqrt(fan_in or n_in)  # torch's own default for nn.Linear
-            for weight in layer.parameters():
-                nn.init.uniform_(weight, -bound, bound, generator=generator)
-            return layer
-
+        linear = partial(_drawn, generator)
         self.encoding_first = linear(n_outputs + f, h)
         self.encoding = _Layers(f, 2 * z, config, linear)
         self.regressing_first = linear(f, h)
         self.regressing = _Layers(f, 2 * z, config, linear)
-        # The decoder's first layer on (z, theta), written as two: L samples of z share theta's half.
-        self.decoding_z = linear(z, h, fan_in=z + f, bias=False)
-        self.decoding_theta = linear(f, h, fan_in=z + f)
-        self.decoding = _Layers(f, n_outputs, config, linear)
         self.scale = nn.Parameter(torch.zeros(f)) if config.residual else None
 
     def encoder(self, x: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
@@ -71,9 +61,7 @@ class PelsVae(nn.Module):
 
     def decoder(self, z: Tensor, theta: Tensor) -> Tensor:
         """Mean of L decoded samples, Eq. 7: z (L, b, z), theta (b, f) -> x (b, d)."""
-        theta = self._scaled(theta)
-        x: Tensor = self.decoding(self.decoding_z(z) + self.decoding_theta(theta), theta)
-        return x
+        raise NotImplementedError
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
         """Eq. 6-7, without x: theta (b, f), eps (L, z) -> x (b, d)."""
@@ -85,6 +73,28 @@ class PelsVae(nn.Module):
         # Adam's steps are of one size whatever the gradient, so the factor alone makes the rate.
         # The parameter is the distance from 1: weight decay draws the scale to 1, not to 0.
         return theta if self.scale is None else theta * (1.0 + _SCALE_RATE * self.scale)
+
+
+class LayersVae(PelsVae):
+    """PELS-VAE whose decoder is layers too."""
+
+    def __init__(
+        self, n_features: int, n_outputs: int, config: SurrogateConfig, generator: torch.Generator
+    ) -> None:
+        """Build the three networks with weights drawn from a generator; arguments as of `PelsVae`."""
+        super().__init__(n_features, n_outputs, config, generator)
+        f, z, h = n_features, config.n_latent, config.n_hidden
+        linear = partial(_drawn, generator)
+        # The decoder's first layer on (z, theta), written as two: L samples of z share theta's half.
+        self.decoding_z = linear(z, h, fan_in=z + f, bias=False)
+        self.decoding_theta = linear(f, h, fan_in=z + f)
+        self.decoding = _Layers(f, n_outputs, config, linear)
+
+    def decoder(self, z: Tensor, theta: Tensor) -> Tensor:
+        """Mean of L decoded samples, Eq. 7: z (L, b, z), theta (b, f) -> x (b, d)."""
+        theta = self._scaled(theta)
+        x: Tensor = self.decoding(self.decoding_z(z) + self.decoding_theta(theta), theta)
+        return x
 
 
 class _Layers(nn.Module):
@@ -127,6 +137,17 @@ class _Linear(nn.Linear):
 
     def reset_parameters(self) -> None:
         """Leave the weights as they are."""
+
+
+def _drawn(
+    generator: torch.Generator, n_in: int, n_out: int, fan_in: int | None = None, bias: bool = True
+) -> nn.Linear:
+    """Return a layer with weights drawn from a generator."""
+    layer = _Linear(n_in, n_out, bias=bias)
+    bound = 1.0 / math.sqrt(fan_in or n_in)  # torch's own default for nn.Linear
+    for weight in layer.parameters():
+        nn.init.uniform_(weight, -bound, bound, generator=generator)
+    return layer
 
 
 def _gaussian(heads: Tensor) -> tuple[Tensor, Tensor]:

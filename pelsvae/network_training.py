@@ -17,6 +17,7 @@ _Step = Callable[[Tensor, float], LossTerms]
 # One-cycle schedule of Smith and Topin 2019, arXiv:1708.07120.
 _WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
 _START = 0.04  # of the peak learning rate, where one-cycle begins
+SHORT_MEMORY = 0.99  # of the squares of gradients
 _END = 1e-3  # of the peak learning rate, where one-cycle ends
 
 
@@ -54,7 +55,10 @@ def train_network(
     # Draws are made where they are used; batches are drawn on the CPU, the same for every device.
     noise = torch.Generator(x.device).manual_seed(generator.initial_seed())
     weights: list[Tensor] = list(network.parameters())
-    step_weights = _optimizer(weights, config)
+    # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of a
+    # thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
+    memory = SHORT_MEMORY if config.optimizer == "adamw" else 0.999
+    step_weights = step_of_adam(weights, config.weight_decay, memory)
     best = [weight.detach().clone() for weight in weights]
     best_mae, best_epoch, n_done, n_steps = math.inf, 0, 0, config.max_epochs * len(starts)
 
@@ -83,7 +87,7 @@ def train_network(
         is_reported = epoch % config.validate_every == 0 or epoch == config.max_epochs
         for start in starts:
             rows = order[start : start + size]
-            terms = learn(rows, _learning_rate(config, n_done / n_steps))
+            terms = learn(rows, learning_rate(config, n_done / n_steps))
             n_done += 1
             if is_reported:
                 # Weighted, as the last batch may be smaller; only in epochs that are reported.
@@ -148,31 +152,30 @@ def _replayed(step: Callable[[Tensor, float | Tensor], LossTerms], noise: torch.
     return replay
 
 
-def _optimizer(weights: list[Tensor], config: SurrogateConfig) -> Callable[[float | Tensor], None]:
+def step_of_adam(
+    weights: list[Tensor], weight_decay: float, memory: float = SHORT_MEMORY
+) -> Callable[[float | Tensor], None]:
     """Return what takes a step of Adam or AdamW with a learning rate.
 
     torch's function, not its class: to make one loads torch's compiler, two seconds in every process.
     """
-    # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of a
-    # thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
-    memory = 0.99 if config.optimizer == "adamw" else 0.999
     means, squares = ([torch.zeros_like(weight) for weight in weights] for _ in range(2))
     n_steps = [weight.new_zeros((), dtype=torch.float32) for weight in weights]
 
-    def step(learning_rate: float | Tensor) -> None:
+    def step(rate: float | Tensor) -> None:
         gradients = [weight.grad for weight in weights if weight.grad is not None]
         with torch.no_grad():
             # Without an optimizer object: 2.7 instead of 4.1 s for `refined` at n = 32, with equal bits.
             adamw(
                 weights, gradients, means, squares, [], n_steps,
                 fused=True, amsgrad=False, maximize=False,
-                lr=learning_rate, beta1=0.9, beta2=memory, weight_decay=config.weight_decay, eps=1e-8,
+                lr=rate, beta1=0.9, beta2=memory, weight_decay=weight_decay, eps=1e-8,
             )  # fmt: skip
 
     return step
 
 
-def _learning_rate(config: SurrogateConfig, progress: float) -> float:
+def learning_rate(config: SurrogateConfig, progress: float) -> float:
     """Return the learning rate at a progress in [0, 1); one-cycle is a cosine up, then a cosine down."""
     if config.schedule == "constant":
         return config.learning_rate

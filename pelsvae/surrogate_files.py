@@ -14,14 +14,17 @@ import torch
 from pelsvae.config import Device, SurrogateConfig
 from pelsvae.device import resolve_device
 from pelsvae.kernel import Kernel
+from pelsvae.linear_network.drive import Drive
 from pelsvae.linear_vae import LinearVae
-from pelsvae.network import PelsVae
+from pelsvae.network import LayersVae, PelsVae
 from pelsvae.standardize import OutputStandardizer, ThetaStandardizer
+from pelsvae.state_space import StateSpaceVae
 from pelsvae.surrogate import Surrogate
 
 WEIGHTS = "weights.npz"
 DESCRIPTION = "surrogate.json"
 _FORMAT = 1
+_DRIVE = "drive."  # prefix of what drives the model
 _NETWORK = "network."  # prefix of the weights among the arrays
 
 
@@ -41,6 +44,8 @@ def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
         "output.mean": surrogate.output_standardizer.mean,
         "output.deviation": surrogate.output_standardizer.deviation,
     }
+    if isinstance(surrogate.network, StateSpaceVae):
+        arrays |= {_DRIVE + name: value for name, value in surrogate.network.drive.to_arrays().items()}
     for name, value in surrogate.network.state_dict().items():
         arrays[_NETWORK + name] = value.cpu().numpy()
     # Pickle would run code from a file that may come from a stranger.
@@ -112,7 +117,12 @@ def _assembled(
     network: PelsVae | LinearVae
     if config.regressor == "network":
         # Any generator will do, as the next line replaces what it drew.
-        network = PelsVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
+        if config.decoder == "state-space":
+            given = {k.removeprefix(_DRIVE): v for k, v in arrays.items() if k.startswith(_DRIVE)}
+            network = StateSpaceVae(theta, output, Drive.from_arrays(given), config, torch.Generator())
+            device = torch.device("cpu")
+        else:
+            network = LayersVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
         network.load_state_dict(learnt)
     else:
         kernel = Kernel(theta.n_features, config.n_scales, config.degree)

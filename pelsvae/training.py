@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +12,15 @@ from torch import Tensor
 from pelsvae.config import SurrogateConfig
 from pelsvae.device import n_threads_set, resolve_device
 from pelsvae.epochs import EpochReport
+from pelsvae.linear_network.drive import Drive
 from pelsvae.linear_vae import LinearVae
 from pelsvae.metrics import errors
-from pelsvae.network import PelsVae
+from pelsvae.network import LayersVae, PelsVae
 from pelsvae.network_training import train_network
 from pelsvae.process_fitting import fit_processes
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
+from pelsvae.state_space import StateSpaceVae, scaled_outputs
+from pelsvae.state_space_training import train_state_space
 from pelsvae.surrogate import Surrogate, draw_prediction_eps, require_positive
 
 
@@ -46,6 +50,7 @@ def fit(
     seed: int,
     log_columns: npt.ArrayLike | None = None,
     output_scales: Array | None = None,
+    drive: Drive | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> FitResult:
     """Train a PELS-VAE by Eq. 5 and keep the weights with the smallest validation error.
@@ -63,6 +68,7 @@ def fit(
             means every column that is positive throughout. Shape (p,), bool.
         output_scales: Makes validation errors of different units comparable (see `metrics.errors`).
             Shape (k,).
+        drive: The model's inputs, for decoder "state-space".
         on_epoch: Called after each validated epoch; what it raises ends the training and reaches the caller.
 
     Returns:
@@ -84,7 +90,14 @@ def fit(
         )
     log = _log_columns(log_columns, config, theta, theta_validation)
     theta_map, output_map = ThetaStandardizer.fit(theta, log), OutputStandardizer.fit(y)
-    device = resolve_device(config.device)
+    if config.regressor != "network" or config.decoder == "layers":
+        drive = None
+    elif drive is None:
+        raise ValueError('decoder "state-space" needs the model\'s inputs: give drive')
+    else:
+        output_map = scaled_outputs(y, drive)
+    # The network of states is solved by numba, on the CPU.
+    device = resolve_device(config.device if drive is None else "cpu")
 
     def surrogate_of(network: PelsVae | LinearVae, eps: Tensor) -> Surrogate:
         return Surrogate(config, network, eps, theta_map, output_map)
@@ -99,18 +112,24 @@ def fit(
     with n_threads_set(config.n_threads):
         if config.regressor == "network":
             generator = torch.Generator().manual_seed(seed)  # CPU: weights, batches; the same on every device
-            network = PelsVae(theta_map.n_features, y[0].size, config, generator).to(device)
+            network: LayersVae | StateSpaceVae
+            if drive is not None:
+                network = StateSpaceVae(theta_map, output_map, drive, config, generator)
+            else:
+                network = LayersVae(theta_map.n_features, y[0].size, config, generator).to(device)
             # After the weights: the order of draws is part of what a seed means.
             eps = draw_prediction_eps(config.n_prediction_samples, config.n_latent, generator).to(device)
             surrogate = surrogate_of(network, eps)
-            best_epoch, n_epochs, stop_reason = train_network(
-                network,
-                config,
-                *prepared(theta, y, torch.float32),
-                validation_error=lambda: validation_error(surrogate),
-                generator=generator,
-                on_epoch=on_epoch,
-            )
+            how: dict[str, Any] = {
+                "validation_error": lambda: validation_error(surrogate),
+                "generator": generator,
+                "on_epoch": on_epoch,
+            }
+            rows = prepared(theta, y, torch.float32)
+            if isinstance(network, StateSpaceVae):
+                best_epoch, n_epochs, stop_reason = train_state_space(network, config, *rows, **how)
+            else:
+                best_epoch, n_epochs, stop_reason = train_network(network, config, *rows, **how)
         else:
             made = fit_processes(
                 config,

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 from simulation.errors import InputError
 
 Method = Literal["adaptive", "paper"]
-Surrogate = Literal["refined", "paper", "pca-gp"]
+Surrogate = Literal["state-space", "refined", "paper", "pca-gp"]
 Noise = Literal["correlated", "white", "sensor"]
 
 

@@ -16,7 +16,7 @@ from studies.search_space import STRICT, Count, Positive, SearchParameter, Searc
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
 Sample = Annotated[int, Field(ge=2, le=1_000_000)]
-SurrogateName = Literal["refined", "paper", "pca-gp"]
+SurrogateName = Literal["state-space", "refined", "paper", "pca-gp"]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -61,8 +61,9 @@ class TuningBudget:
 
     Args:
         n_trials: trials per training-set size, in total.
-        surrogate: "refined" (a PELS-VAE of networks with the settings that were found to help), "paper"
-            (a PELS-VAE of networks as published) or "pca-gp" (PCA and Gaussian processes).
+        surrogate: "state-space" (a PELS-VAE whose decoder knows the inputs), "refined" (a PELS-VAE of
+            networks with the settings that were found to help), "paper" (a PELS-VAE of networks as published)
+            or "pca-gp" (PCA and Gaussian processes).
         max_epochs: limit of one training; None takes the surrogate's.
         patience: epochs without a better validation error; None takes the surrogate's.
         device: where the trials are trained; "auto" takes CUDA where there is some.

@@ -24,12 +24,13 @@ from studies.results.saved import arrays_of, plain, read_arrays, read_json, rebu
 from studies.results.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.adaptive_stage import calibrate_adaptively
 from studies.stages.calibrate_stage import calibrate
+from studies.stages.learn import written_drive
 from studies.stages.simulate_stage import simulate_stage
 from studies.stages.warm_start import ChooseRows, StartRows
 from studies.task import Task
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
-from studies.tuning.trial_training import load_data, train
+from studies.tuning.trial_training import load_data, load_drive, train
 from studies.words.console import Column, Console
 
 if TYPE_CHECKING:
@@ -192,7 +193,8 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
     assert spec is not None, "of every trial"
     config = spec.config(made.params)
     simulate_stage(task)  # what is stored is not simulated again
-    data = load_data(spec, task.paths)
+    written_drive(task)
+    data, drive = load_data(spec, task.paths), load_drive(spec, task.paths)
     curve = f"{CURVE}validation_mae"  # which is as sensitive as any other
     history = {point.step: point.value for point in runs.client.get_metric_history(run.info.run_id, curve)}
     is_pruned, seen = run.data.tags.get("pruned") == "True", dict[int, float]()
@@ -204,7 +206,9 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
 
     numbers: dict[str, float] = {}
     with suppress(_LastEpochError):
-        _, numbers = train(spec, config, made.seed, data, on_epoch=on_epoch, on_report=lambda *_: None)
+        _, numbers = train(
+            spec, config, made.seed, data, drive=drive, on_epoch=on_epoch, on_report=lambda *_: None
+        )
     was = {name: run.data.metrics[name] for name in numbers if name in run.data.metrics}
     again = [seen.get(step) for step in history]
     return {**was, curve: [*history.values()]}, {**numbers, curve: again}

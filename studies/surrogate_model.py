@@ -41,8 +41,7 @@ class SurrogateModel:
             The predictions, one per row; a row whose parameters or prediction are not finite has failed.
         """
         theta = np.asarray(theta, dtype=np.float64)
-        is_log = self.parameter_space.is_log
-        no_logarithm = np.any(theta[:, is_log] <= 0.0, axis=1)
+        no_logarithm = np.any(theta[:, self.surrogate.theta_standardizer.log_columns] <= 0.0, axis=1)
         usable = np.isfinite(theta).all(axis=1) & ~no_logarithm
         y = np.full((len(theta), len(self.time), len(self.output_names)), np.nan)
         if usable.any():

@@ -5,7 +5,7 @@ Any worker, on any machine of the project, can go on with a study from its name 
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,13 @@ from studies.search_space import STRICT, SearchParameter, SearchSpace, default_p
 ALIAS = "champion"
 """Of the best surrogate of a size, in MLflow's registry."""
 SETS = ("train", "validation", "test")
+DRIVE = "drive"
+"""Of the file with what drives the model."""
+
+
+def digest_of_arrays(arrays: Mapping[str, Any]) -> str:
+    """Return a digest of arrays by name."""
+    return digest_of(*(part for name in sorted(arrays) for part in (name, np.asarray(arrays[name]))))
 
 
 @dataclass(frozen=True)
@@ -32,8 +39,9 @@ class Declaration:
         label: what the user calls the case and profile; MLflow's experiment.
         n_train: rows of the training design that are used (failed simulations among them are left out).
         case_name: name of the case.
-        surrogate: named form of the surrogate: "refined", "paper" or "pca-gp".
+        surrogate: named form of the surrogate: "state-space", "refined", "paper" or "pca-gp".
         settings: settings of the surrogate that every trial shares.
+        forms: where the decoder is searched, the settings that trials with each decoder share.
         search: search space, as JSON values by hyperparameter.
         sampler: Optuna's sampler: its name and arguments.
         pruner: the pruner: its name and arguments.
@@ -46,8 +54,9 @@ class Declaration:
         output_unit: unit of the first output and so of the errors.
         output_scales: what an error of each output is multiplied with to be comparable with the first
             output's. Length k. [first output's unit / output's unit]
-        files: place of the training, validation and test set, relative to the project.
-        digests: SHA-256 of case, FMU and the three sets.
+        files: place of the training, validation and test set, relative to the project; and of what drives the
+            model ("drive"), where a decoder needs it.
+        digests: SHA-256 of case, FMU, the three sets, and of what drives the model.
         enqueue: configurations that are tried first.
         device: where the surrogate is trained; decides no trial.
         max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
@@ -76,6 +85,7 @@ class Declaration:
     files: dict[str, str]
     digests: dict[str, str]
     enqueue: tuple[dict[str, Any], ...] = ()
+    forms: dict[str, dict[str, Any]] = field(default_factory=dict)
     device: str = "auto"
     max_trial_s: float | None = None
     is_baseline: bool = False
@@ -86,7 +96,12 @@ class Declaration:
         """SHA-256 over all that decides the trials and their errors."""
         # What changes no trial is left out: another label or place of the files must not begin a new study.
         idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
-        decisive = {name: value for name, value in self.to_dict().items() if name not in idle}
+        # Studies of before the decoder could be searched keep their names.
+        decisive = {
+            name: value
+            for name, value in self.to_dict().items()
+            if name not in idle and (name != "forms" or value)
+        }
         return digest_of(json.dumps(decisive, sort_keys=True))
 
     @property
@@ -103,7 +118,7 @@ class Declaration:
     @property
     def data(self) -> tuple[Any, ...]:
         """What two studies share whose errors are compared: the label and the data sets."""
-        return self.label, self.n_train, *sorted(self.digests.items())
+        return self.label, self.n_train, *sorted(one for one in self.digests.items() if one[0] != DRIVE)
 
     @property
     def model_name(self) -> str:
@@ -129,13 +144,22 @@ class Declaration:
     @property
     def first_points(self) -> list[dict[str, Any]]:
         """The configurations that are tried first: the surrogate's own, then those of the profile."""
-        default = default_point(self.space, self.base_config)
-        return [default, *(default | dict(point) for point in self.enqueue)]
+        bases = [self._base_of(name) for name in self.forms or (None,)]
+        if (states := self.space.get("states")) is not None:
+            bases += [one.replace(states=name) for name in states.choices[1:] for one in bases[:1]]
+        defaults = [default_point(self.space, base) for base in bases]
+        return [*defaults, *(defaults[0] | dict(point) for point in self.enqueue)]
 
     def config(self, params: Mapping[str, Any]) -> SurrogateConfig:
         """Return all settings of a trial's surrogate."""
         plain = {"weight_decay": 0.0} if params.get("optimizer") == "adam" else {}  # adam has none
-        return self.base_config.replace(**(plain | dict(params)))
+        return self._base_of(params.get("decoder")).replace(**(plain | dict(params)))
+
+    def _base_of(self, decoder: str | None) -> SurrogateConfig:
+        """Return the settings that trials with a decoder share."""
+        if decoder not in self.forms:
+            return self.base_config
+        return SurrogateConfig.from_dict(self.forms[decoder] | {"device": self.device, "n_threads": 1})
 
     def trial_seed(self, place: int, use: int) -> int:
         """Return the seed of a trial.

@@ -11,7 +11,7 @@ from simulation.case import Case
 from simulation.errors import InputError
 from simulation.pool.execution import commonest
 from simulation.store.stored_model import StoredModel
-from studies.calibration.hidden_network.inputs import NetworkInputs
+from studies.calibration.hidden_network.inputs import network_of_stores
 from studies.calibration.ledger import Ledger
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
@@ -152,7 +152,7 @@ def calibrate_adaptively(
             seed=task.profile.seed,
             known=known,
             learned_ode=learned_ode,
-            network_inputs=None if state_equations else NetworkInputs.of(case),
+            network_inputs=None if state_equations else network_of_stores(case),
             on_progress=_reporter(task, physical, bars),
         )
         if not np.isfinite(result.mse):

@@ -11,18 +11,24 @@ from optuna.trial import FrozenTrial
 from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
+from studies.calibration.hidden_network.inputs import drive_of
 from studies.reporting.tables import tuning_table
-from studies.results.declaration import Declaration
+from studies.results.declaration import DRIVE, Declaration, digest_of_arrays
 from studies.results.outcome import Outcome, digest_of
 from studies.results.row_set import RowSet
+from studies.results.saved import write_arrays
 from studies.results.stage_results import SimulatedSets, Tuned
 from studies.results.trials import TunedStudy
+from studies.search_space import NETWORK_SPACE
 from studies.stages.simulate_stage import set_files
 from studies.task import StageError, Task
 from studies.tuning.attempts import places
 from studies.tuning.sampler import make_pruner, make_sampler
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.words.wording import count, difference_unit, quantity
+
+FORMS = {"layers": "refined", "state-space": "state-space"}
+"""Named form of the surrogate with each decoder, where the decoder is searched."""
 
 
 def require_tuning(task: Task) -> None:
@@ -38,6 +44,23 @@ def require_tuning(task: Task) -> None:
             resolve_device("cuda")
         except ValueError as error:
             raise InputError(f"profile {task.profile.name}: tuning.device: {error}") from None
+
+
+def written_drive(task: Task) -> tuple[str, str] | None:
+    """Write what drives the case's model for workers; return the file, as declarations name it, and a digest.
+
+    None where decoders cannot know it: experiments with different communication steps.
+    """
+    drive = drive_of(task.case)
+    if drive is None:
+        return None
+    arrays = drive.to_arrays()
+    digest = digest_of_arrays(arrays)
+    file = task.paths.generated(task.case.name) / "drives" / f"drive-{digest[:12]}.npz"
+    if not file.is_file():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_arrays(file, arrays)
+    return task.paths.recorded(file), digest
 
 
 def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
@@ -97,6 +120,16 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
     sets = {name: RowSet.load(file).read() for name, file in set_files(task, simulated).items()}
     given = {"max_epochs": budget.max_epochs, "patience": budget.patience}
     longer = {name: value for name, value in given.items() if value is not None}
+    search, surrogate, files, driven = dict(budget.space), budget.surrogate, dict(simulated.files), {}
+    decoders = search["decoder"].choices if "decoder" in search else (VARIANTS[surrogate].decoder,)
+    if "state-space" in decoders:
+        if (written := written_drive(task)) is not None:
+            files[DRIVE], driven[DRIVE] = written
+        else:
+            task.console.warn("tune: the experiments differ in their communication step: layers decode alone")
+            search = {name: one for name, one in search.items() if name in NETWORK_SPACE}
+            surrogate, decoders = "refined", ("layers",)
+    forms = {str(one): _settings(FORMS[str(one)], longer) for one in decoders} if "decoder" in search else {}
     found = []
     for n_train in task.profile.data.n_train:
         digests = {name: sets[name].digest for name in ("validation", "test")}
@@ -105,9 +138,10 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
             label=task.label,
             n_train=n_train,
             case_name=task.case.name,
-            surrogate=budget.surrogate,
-            settings=_settings(budget.surrogate, longer),
-            search={name: one.to_dict() for name, one in budget.space.items()},
+            surrogate=surrogate,
+            settings=_settings(surrogate, longer),
+            forms=forms,
+            search={name: one.to_dict() for name, one in search.items()},
             sampler=budget.sampler,
             pruner=budget.pruner,
             enqueue=tuple(dict(point) for point in budget.enqueue),
@@ -119,8 +153,8 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
             output_names=tuple(sets["train"].output_names),
             output_unit=task.case.outputs[0].unit,
             output_scales=tuple(task.case.measurement.error_scales.tolist()),
-            files=simulated.files,
-            digests={"case": task.case.digest, "fmu": task.case.fmu.sha256, **digests},
+            files=files,
+            digests={"case": task.case.digest, "fmu": task.case.fmu.sha256, **digests, **driven},
             device=budget.device,
             max_trial_s=budget.max_trial_s,
             note=task.case.note,
@@ -131,7 +165,10 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
                 spec,
                 surrogate="pca-gp",
                 settings=_settings("pca-gp", {}),
+                forms={},
                 search={},
+                files=simulated.files,
+                digests={name: one for name, one in spec.digests.items() if name != DRIVE},
                 sampler={"name": "RandomSampler"},
                 pruner={"name": "NopPruner"},
                 enqueue=(),
@@ -142,8 +179,11 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
 
 
 def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:
-    settings = VARIANTS[surrogate].replace(**changes).to_dict()
-    return {name: value for name, value in settings.items() if name not in ("device", "n_threads")}
+    config = VARIANTS[surrogate].replace(**changes)
+    # What layers and processes do not have is left out: studies of before keep their names.
+    of_states = ("decoder", "states", "n_stores", "sparsity") if config.decoder == "layers" else ()
+    left_out = ("device", "n_threads", *of_states)
+    return {name: value for name, value in config.to_dict().items() if name not in left_out}
 
 
 def _progress(

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from pelsvae.config import SurrogateConfig
 from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.linear_network.drive import Drive
 from pelsvae.metrics import errors
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.results.declaration import SETS, Declaration
+from studies.results.declaration import DRIVE, SETS, Declaration, digest_of_arrays
 from studies.results.row_set import RowSet
+from studies.results.saved import read_arrays
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 # Before, ranks say next to nothing: at a tenth they correlate with the end by 0.37.
@@ -45,6 +47,23 @@ def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
     return data
 
 
+def load_drive(spec: Declaration, paths: ProjectPaths) -> Drive | None:
+    """Read what drives a study's model; None where no decoder needs it.
+
+    Raises:
+        InputError: the file is not here, or not the one that the study was declared with.
+    """
+    if DRIVE not in spec.files:
+        return None
+    file = spec.file(paths, DRIVE)
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; type: studies tune")
+    arrays = read_arrays(file)
+    if digest_of_arrays(arrays) != spec.digests[DRIVE]:
+        raise InputError(f"{file} has changed since the study was declared; type: studies tune")
+    return Drive.from_arrays(arrays)
+
+
 def report_epochs(max_epochs: int) -> list[int]:
     """Return the epochs at which trials are compared: a geometric row, dense where most trials stop."""
     row = np.geomspace(max(1.0, PRUNE_AFTER * max_epochs), max_epochs, N_REPORTS)
@@ -57,6 +76,7 @@ def train(
     seed: int,
     data: StudyData,
     *,
+    drive: Drive | None = None,
     on_epoch: Callable[[EpochReport], None],
     on_report: Callable[[int, float], None],
 ) -> tuple[FitResult, dict[str, float]]:
@@ -67,6 +87,7 @@ def train(
         config: settings of the surrogate.
         seed: seed of the training.
         data: the three sets.
+        drive: what drives the model, for decoders that know it.
         on_epoch: called after every validated epoch; what it raises ends the training.
         on_report: called with epoch and validation error where trials are compared.
 
@@ -94,6 +115,7 @@ def train(
         seed=seed,
         log_columns=np.array(spec.is_log),
         output_scales=np.array(spec.output_scales),
+        drive=drive,
         on_epoch=report,
     )
     judged = judge(fitted.surrogate, spec, data)

@@ -31,7 +31,7 @@ from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import open_storage, study_locked
-from studies.tuning.trial_training import load_data, train
+from studies.tuning.trial_training import load_data, load_drive, train
 
 
 class TrialFailedError(Exception):
@@ -55,7 +55,7 @@ class Worker:
             raise InputError(f"there is no study {name!r}; type: studies status") from None
         self._study, self._spec = study, attempts.declaration_of(study)
         study.pruner = make_pruner(self._spec.pruner)
-        self._data = load_data(self._spec, paths)
+        self._data, self._drive = load_data(self._spec, paths), load_drive(self._spec, paths)
         self._runs = RunStore(paths)
         self._environment = environment(resolve_device(self._spec.base_config.device).type)
 
@@ -161,7 +161,9 @@ class Worker:
             trial.set_user_attr("training", {"n_epochs": epoch, "wall_s": wall_s, **more})
 
         try:
-            fitted, metrics = train(spec, config, seed, self._data, on_epoch=on_epoch, on_report=compare)
+            fitted, metrics = train(
+                spec, config, seed, self._data, drive=self._drive, on_epoch=on_epoch, on_report=compare
+            )
         except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
         except Exception as error:

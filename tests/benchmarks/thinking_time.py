@@ -31,7 +31,7 @@ from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
 from simulation.measurement import Measurement  # noqa: E402
 from simulation.parameters import Parameter, ParameterSpace  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
-from studies.calibration.hidden_network.inputs import NetworkInputs  # noqa: E402
+from studies.calibration.hidden_network.inputs import network_of_stores  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.calibration.search.adaptive import Adaptive  # noqa: E402
 from studies.calibration.state_equations.learned_ode import LearnedODE  # noqa: E402
@@ -240,7 +240,7 @@ def office_hidden(seed: int, n_calls: int) -> list[float]:
         clock = Clock(model)
         problem = CalibrationProblem(clock, case.measurement)
         settings = Adaptive(max_calls=n_calls, target_mse=0.0)
-        settings.minimize(problem, seed=seed, network_inputs=NetworkInputs.of(case))
+        settings.minimize(problem, seed=seed, network_inputs=network_of_stores(case))
         clock.note()
     return clock.pauses
 

@@ -9,11 +9,12 @@ import pytest
 from scipy.linalg import expm
 from threadpoolctl import threadpool_limits
 
+from pelsvae.linear_network.drive import Drive
 from simulation import Measurement, load_case
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.calibration.hidden_network.inputs import NetworkInputs
+from studies.calibration.hidden_network.inputs import network_of_stores
 from studies.calibration.hidden_network.steps import steps
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.search.adaptive import Adaptive
@@ -79,20 +80,23 @@ class HiddenRoom:
         )
 
 
-def room_inputs() -> NetworkInputs:
+def room_inputs() -> Drive:
     """Return what drives the room."""
     outdoor, sun, is_on = drawn_inputs()
     patterns, pattern = np.unique(is_on[:, None], axis=0, return_inverse=True)
-    return NetworkInputs(
+    return Drive(
         potentials=outdoor[:, None],
         sources=(sun / sun.std())[:, None],
         pattern=pattern.reshape(-1).astype(np.int64),
         patterns=patterns,
         step=0.5,
-        every=1,
-        n_before=0,
+        bounds=np.array([0, len(pattern)]),
+        every=np.array([1]),
+        n_before=np.array([0]),
+        columns=np.array([[0]]),
+        is_alike=np.array([True]),
         is_start=np.array([False] * 6 + [True]),
-        start_scale=np.array([0.0] * 6 + [5.0]),
+        start_ratio=np.array([0.0] * 6 + [1.0]),
         time_powers=np.array([-1.0, -1.0, 1.0, 0.0, 0.0, 0.0, -2.0]),
         source_powers=np.array([-3.0]),
     )
@@ -151,7 +155,7 @@ def test_hidden_room_is_calibrated_in_few_calls() -> None:
 
 def test_inputs_of_the_office_are_sorted_by_unit() -> None:
     case = load_case(ROOT / "fmus" / "office")
-    inputs = NetworkInputs.of(case)
+    inputs = network_of_stores(case)
     assert inputs is not None
     # Outdoor air, wall, water and supply air; sun and occupants; water circuit and ventilation.
     assert (inputs.potentials.shape[1], inputs.sources.shape[1], inputs.patterns.shape[1]) == (4, 2, 2)
@@ -165,4 +169,4 @@ def test_inputs_of_the_office_are_sorted_by_unit() -> None:
 def test_outputs_that_are_no_potentials_or_differ_have_no_network() -> None:
     # The oscillator has no inputs, the wall's second output is a heat flow.
     for name in ("vanderpol", "wall"):
-        assert NetworkInputs.of(load_case(ROOT / "fmus" / name)) is None
+        assert network_of_stores(load_case(ROOT / "fmus" / name)) is None

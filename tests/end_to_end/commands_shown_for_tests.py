@@ -63,10 +63,11 @@ def give_what_commands_name(project: Path) -> None:
     (project / "next-winter.csv").write_text(winter, "utf-8")
     profile = (ROOT / "studies" / "profiles" / "quick.toml").read_text("utf-8")
     small = profile.replace("[32, 64, 128, 256, 512]", "[32]").replace(
-        "n_trials = 16", "max_epochs = 5\nn_trials = 1"
+        "n_trials = 8", "max_epochs = 5\nn_trials = 1"
     )
-    for name, surrogate in (("my", "refined"), ("pca-gp", "pca-gp")):
-        text = small.replace('name = "quick"', f'name = "{name}"').replace('"refined"', f'"{surrogate}"')
+    for name, surrogate in (("my", "state-space"), ("pca-gp", "pca-gp")):
+        text = small.replace('name = "quick"', f'name = "{name}"')
+        text = text.replace('surrogate = "state-space"', f'surrogate = "{surrogate}"')
         if surrogate == "pca-gp":  # as docs/how-to/compare-surrogates.md says
             text = re.sub(r"\[tuning\.search\].*?(?=\n\[)", "", text, flags=re.DOTALL)
         (project / f"{name}.toml").write_text(text, "utf-8")

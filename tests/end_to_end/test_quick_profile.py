@@ -31,11 +31,11 @@ from studies.tracking.quiet_mlflow import connect
 from studies.tracking.runs import RunStore, load_surrogate
 
 LABEL = "office-quick"
-# All five sizes with 16 trials each take minutes; README's first command runs them.
+# All five sizes with 8 trials each take minutes; README's first command runs them.
 SIZES, N_TRIALS = (32, 64), 5
 SHORTER = {
     "n_base = 256": "n_base = 16",
-    "n_startup_trials = 6": "n_startup_trials = 2",
+    "n_startup_trials = 3": "n_startup_trials = 2",
     "[tuning]\n": "[tuning]\nmax_epochs = 100\nbaseline = false\n",
     "maxiter = 200": "maxiter = 60",
 }

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pelsvae.config import SurrogateConfig
+from pelsvae.linear_network.drive import Drive
 
 TIME_S = np.linspace(0.0, 40.0, 21)
 SMALL = SurrogateConfig(
@@ -36,3 +37,24 @@ def rc_step(n: int, seed: int, n_outputs: int = 1) -> tuple[npt.NDArray[np.float
     temperature = 20.0 + 5.0 * (1.0 - decay)
     flow = 1e4 * 5.0 * decay / theta[:, :1]
     return theta, np.stack([temperature, flow], axis=2)[:, :, :n_outputs]
+
+
+def step_drive() -> Drive:
+    """Return what drives the temperature of `rc_step`: 25 degC from the start on."""
+    m = len(TIME_S) - 1
+    return Drive(
+        potentials=np.full((m, 1), 25.0),
+        sources=np.zeros((m, 0)),
+        pattern=np.zeros(m, dtype=np.int64),
+        patterns=np.zeros((1, 0)),
+        step=0.5,
+        bounds=np.array([0, m]),
+        every=np.array([1]),
+        n_before=np.array([0]),
+        columns=np.array([[0]]),
+        is_alike=np.array([True]),
+        is_start=np.zeros(2, dtype=np.bool_),
+        start_ratio=np.zeros(2),
+        time_powers=np.empty(0),
+        source_powers=np.empty(0),
+    )

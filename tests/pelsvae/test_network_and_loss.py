@@ -10,14 +10,14 @@ import torch
 from rc_step_for_tests import SMALL
 
 from pelsvae.loss import objective
-from pelsvae.network import PelsVae
+from pelsvae.network import LayersVae
 
 FLOAT64_TOL = 1e-12  # rounding of some hundred float64 operations on numbers near 1
 N_FEATURES, N_OUTPUTS, N_ROWS, N_SAMPLES = 3, 7, 5, 4
 
 
-def network(seed: int = 0) -> PelsVae:
-    return PelsVae(N_FEATURES, N_OUTPUTS, SMALL, torch.Generator().manual_seed(seed)).double()
+def network(seed: int = 0) -> LayersVae:
+    return LayersVae(N_FEATURES, N_OUTPUTS, SMALL, torch.Generator().manual_seed(seed)).double()
 
 
 def batch() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -66,7 +66,7 @@ def test_prediction_is_regressor_then_mean_of_samples() -> None:
 
 def test_residual_layers_are_what_the_equations_say() -> None:
     config = SMALL.replace(residual=True, n_layers=4)
-    net = PelsVae(N_FEATURES, N_OUTPUTS, config, torch.Generator().manual_seed(0)).double()
+    net = LayersVae(N_FEATURES, N_OUTPUTS, config, torch.Generator().manual_seed(0)).double()
     (_, theta, _), silu = batch(), torch.nn.functional.silu
     with torch.no_grad():
         net.scale.fill_(0.1)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from rc_step_for_tests import SMALL, rc_step
+from rc_step_for_tests import SMALL, rc_step, step_drive
 
 from pelsvae.config import VARIANTS, SurrogateConfig
 from pelsvae.epochs import EpochReport, TrainingDiverged
@@ -41,7 +41,7 @@ def test_each_variant_learns_the_step_response(variant: str) -> None:
     config = VARIANTS[variant]
     small = {"n_hidden": 32, "n_latent": 8, "max_epochs": min(400, config.max_epochs)}
     config = config.replace(**small, device="cpu", n_threads=1)
-    result = fit(theta, y, rc_step(20, seed=2), config=config, seed=0)
+    result = fit(theta, y, rc_step(20, seed=2), config=config, seed=0, drive=step_drive())
     mae = errors(result.surrogate.predict(test_theta), test_y).mae
     mae_of_the_mean = np.abs(test_y - y.mean(axis=0)).mean()
     assert mae < 0.25 * mae_of_the_mean

@@ -9,9 +9,9 @@ from typing import Self
 
 import numpy as np
 
+from pelsvae.linear_network.drive import Drive
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
-from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.steps import steps
 
 # States beside the outputs. Three or four for one output fitted offices alike (docs/notes/adaptive-search.md,
@@ -46,7 +46,7 @@ class NetworkForm:
         space: The parameters.
     """
 
-    inputs: NetworkInputs
+    inputs: Drive
     places: IntArray
     makes: FloatArray
     n_outputs: int
@@ -58,7 +58,7 @@ class NetworkForm:
     space: ParameterSpace
 
     @classmethod
-    def of(cls, inputs: NetworkInputs, space: ParameterSpace, n_outputs: int) -> Self:
+    def of(cls, inputs: Drive, space: ParameterSpace, n_outputs: int) -> Self:
         """Return the form of a problem's network: every element that may be there.
 
         Args:
@@ -132,7 +132,7 @@ class NetworkForm:
         with np.errstate(all="ignore"):
             logarithms = np.log(theta) - 0.5 * (np.log(lower) + np.log(upper))
         multiplied = np.where(is_log, logarithms, away)
-        started = away * self.inputs.start_scale * unit
+        started = away * 0.5 * (upper - lower) * self.inputs.start_ratio * unit
         return np.column_stack([np.ones(len(u)), np.where(self.inputs.is_start, started, multiplied)])
 
 
@@ -175,11 +175,11 @@ class Network:
         potentials = (inputs.potentials - self.level) * self.unit
         y, slopes = steps(
             np.ascontiguousarray(start), rates, form.places, np.hstack([potentials, inputs.sources]),
-            inputs.pattern, inputs.patterns, inputs.step, inputs.every, form.n_outputs, with_slopes,
+            inputs.pattern, inputs.patterns, inputs.step, int(inputs.every[0]), form.n_outputs, with_slopes,
         )  # fmt: skip
-        y = y[:, inputs.n_before :]
+        y = y[:, int(inputs.n_before[0]) :]
         if not with_slopes:
             return y, np.empty((len(y), 0, 0))
-        slopes = slopes[:, inputs.n_before :].reshape(len(y), -1, slopes.shape[3])
+        slopes = slopes[:, int(inputs.n_before[0]) :].reshape(len(y), -1, slopes.shape[3])
         by_element = (slopes[:, :, : rates.shape[1]] * rates[:, None]) @ form.makes
         return y, np.concatenate([by_element, slopes[:, :, rates.shape[1] :]], axis=2)

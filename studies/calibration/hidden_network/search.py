@@ -6,11 +6,11 @@ what it has not explained after the first design it leaves to the processes of t
 
 import numpy as np
 
+from pelsvae.linear_network.drive import Drive
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.box_newton import SAME_POINT
 from studies.calibration.descent import Descents
 from studies.calibration.hidden_network.fit import Fit, first_guess, improved
-from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.model import SCALE, Network, NetworkForm
 from studies.calibration.problem import CalibrationProblem, Evaluation
 
@@ -38,7 +38,7 @@ BESIDE = 0.05
 class HiddenNetwork:
     """The hidden network of a calibration problem, as far as its rows show it."""
 
-    def __init__(self, inputs: NetworkInputs, problem: CalibrationProblem, seed: int) -> None:
+    def __init__(self, inputs: Drive, problem: CalibrationProblem, seed: int) -> None:
         """Begin with nothing known.
 
         Args:

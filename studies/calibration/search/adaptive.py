@@ -12,10 +12,10 @@ from typing import Self
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from pelsvae.linear_network.drive import Drive
 from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
-from studies.calibration.hidden_network.inputs import NetworkInputs
 from studies.calibration.hidden_network.search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.proposer import Proposer
@@ -84,7 +84,7 @@ class Adaptive(SearchSettings):
         seed: int,
         known: Evaluation | None = None,
         learned_ode: Proposer | None = None,
-        network_inputs: NetworkInputs | None = None,
+        network_inputs: Drive | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.

@@ -15,7 +15,7 @@ from simulation import Case, Trajectories, load_case
 from simulation.arrays import FloatArray
 from simulation.experiments import JoinedModel
 from simulation.forward_model import ForwardModel, WrappedModel
-from studies.calibration.hidden_network.inputs import NetworkInputs
+from studies.calibration.hidden_network.inputs import network_of_stores
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
@@ -155,7 +155,7 @@ class PosedModel(WrappedModel):
         """Wrap the model of a case that watches its states, that of all its experiments where it has some."""
         self.states, self._case, self._answers = watched_model(case, model), case, model
         super().__init__(self.states)
-        self.network_inputs = NetworkInputs.of(case)
+        self.network_inputs = network_of_stores(case)
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate; a row of several experiments is one call."""

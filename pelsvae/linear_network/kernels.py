@@ -1,0 +1,189 @@
+"""Linear networks under constant inputs, solved step by step, and what their outputs owe to everything.
+
+Rows lie last in every array, so that one instruction serves several of them. A forward function has an
+adjoint: from the slopes of a number by the results it makes those by the arguments.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.floating[Any]]
+Ints = NDArray[np.int64]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# Terms of the exponential's series at a norm below 1/2: the next is 1e-12 of the first.
+N_TERMS = 9
+MOST_NORM = 0.5
+
+
+def _compiled(function: _Function) -> _Function:
+    """Compile a function without the interpreter's lock, from the cache on disk where there can be one."""
+    compiler = njit(nogil=True, fastmath=True, error_model="numpy", cache=True)
+    try:
+        return cast(_Function, compiler(function))
+    except RuntimeError:  # no folder to cache in
+        return cast(_Function, njit(nogil=True, fastmath=True, error_model="numpy")(function))
+
+
+@_compiled
+def _add_product(a: Floats, b: Floats, by_a: bool, by_b: bool, into: Floats) -> None:
+    """Add the product of two matrices per row, either transposed on demand: shapes (s, s, n)."""
+    s, _, n = into.shape
+    for i in range(s):
+        for j in range(s):
+            out = into[i, j]
+            for k in range(s):
+                left = a[k, i] if by_a else a[i, k]
+                right = b[j, k] if by_b else b[k, j]
+                for row in range(n):
+                    out[row] += left[row] * right[row]
+
+
+@_compiled
+def _add_one(matrix: Floats) -> None:
+    for i in range(matrix.shape[0]):
+        for row in range(matrix.shape[2]):
+            matrix[i, i, row] += 1.0
+
+
+@_compiled
+def _times(matrix: Floats, factor: float) -> None:
+    s, c, n = matrix.shape
+    for i in range(s):
+        for j in range(c):
+            for row in range(n):
+                matrix[i, j, row] *= factor
+
+
+@_compiled
+def exponentials(a: Floats, step: float, series: Floats, doubled: Floats) -> None:
+    """Put exp(a step) and its integral over a step into doubled[:, -1], by scaling and squaring.
+
+    Args:
+        a: Matrices of which the norm times step / 2^k is at most MOST_NORM. Shape (s, s, n).
+        step: Length of a step.
+        series: Filled with partial sums, which the adjoint needs. Shape (N_TERMS, s, s, n).
+        doubled: Filled with exponentials and integrals over step / 2^k, ..., step. Shape (2, k + 1, s, s, n).
+    """
+    s, _, n = a.shape
+    k = doubled.shape[1] - 1
+    part = step / 2.0**k
+    # Integral over a part / part = sum over j of (a part)^j / (j + 1)!, by Horner's rule.
+    series[:] = 0.0
+    _add_one(series[0])
+    for term in range(1, N_TERMS):
+        _add_product(a, series[term - 1], False, False, series[term])
+        _times(series[term], part / (N_TERMS + 1 - term))
+        _add_one(series[term])
+    doubled[:] = 0.0
+    for i in range(s):
+        for j in range(s):
+            for row in range(n):
+                doubled[1, 0, i, j, row] = series[N_TERMS - 1, i, j, row] * part
+    _add_product(a, doubled[1, 0], False, False, doubled[0, 0])
+    _add_one(doubled[0, 0])
+    for q in range(k):
+        # Over twice the time: E E, and I + E I.
+        _add_product(doubled[0, q], doubled[0, q], False, False, doubled[0, q + 1])
+        for i in range(s):
+            for j in range(s):
+                for row in range(n):
+                    doubled[1, q + 1, i, j, row] = doubled[1, q, i, j, row]
+        _add_product(doubled[0, q], doubled[1, q], False, False, doubled[1, q + 1])
+
+
+@_compiled
+def exponentials_adjoint(
+    a: Floats, step: float, series: Floats, doubled: Floats, by_exponential: Floats, by_integral: Floats
+) -> Floats:
+    """Return slopes by a. Shape (s, s, n).
+
+    Args:
+        a: As in `exponentials`.
+        step: The same.
+        series: As it left them.
+        doubled: As it left them.
+        by_exponential: Slopes by the exponentials; overwritten. Shape (s, s, n).
+        by_integral: Slopes by the integrals; overwritten. Shape (s, s, n).
+    """
+    k = doubled.shape[1] - 1
+    part = step / 2.0**k
+    held, more = np.empty_like(a), np.empty_like(a)
+    for q in range(k - 1, -1, -1):
+        held[:] = 0.0
+        _add_product(by_exponential, doubled[0, q], False, True, held)
+        _add_product(doubled[0, q], by_exponential, True, False, held)
+        _add_product(by_integral, doubled[1, q], False, True, held)
+        more[:] = 0.0
+        _add_product(doubled[0, q], by_integral, True, False, more)
+        by_integral += more
+        by_exponential[:] = held
+    by_a = np.zeros_like(a)
+    _add_product(by_exponential, doubled[1, 0], False, True, by_a)
+    _add_product(a, by_exponential, True, False, by_integral)
+    _times(by_integral, part)
+    for term in range(N_TERMS - 1, 0, -1):
+        _times(by_integral, part / (N_TERMS + 1 - term))
+        _add_product(by_integral, series[term - 1], False, True, by_a)
+        held[:] = 0.0
+        _add_product(a, by_integral, True, False, held)
+        by_integral[:] = held
+    return by_a
+
+
+@_compiled
+def walk(exponential: Floats, drive: Floats, start: Floats, pattern: Ints, x: Floats) -> None:
+    """Fill x with the states x[t + 1] = E[pattern[t]] x[t] + drive[t].
+
+    Args:
+        exponential: E of each pattern of the switches. Shape (r, s, s, n).
+        drive: What inputs add in each step. Shape (m, s, n).
+        start: First states. Shape (s, n).
+        pattern: Pattern in each step. Shape (m,).
+        x: Shape (m + 1, s, n).
+    """
+    m, s, n = drive.shape
+    x[0] = start
+    for t in range(m):
+        matrix = exponential[pattern[t]]
+        for i in range(s):
+            out = x[t + 1, i]
+            for row in range(n):
+                out[row] = drive[t, i, row]
+            for j in range(s):
+                factor, state = matrix[i, j], x[t, j]
+                for row in range(n):
+                    out[row] += factor[row] * state[row]
+
+
+@_compiled
+def walk_adjoint(exponential: Floats, by_x: Floats, pattern: Ints, x: Floats) -> Floats:
+    """Turn slopes by all states, held apart, into those through all later states; return those by E.
+
+    Afterwards by_x[t + 1] are the slopes by drive[t], by_x[0] those by the first states.
+
+    Args:
+        exponential: As in `walk`.
+        by_x: Slopes by each state as if it moved no later one; overwritten. Shape (m + 1, s, n).
+        pattern: As in `walk`.
+        x: The states. Shape (m + 1, s, n).
+
+    Returns:
+        Slopes by the exponentials. Shape (r, s, s, n).
+    """
+    m, s, n = len(pattern), x.shape[1], x.shape[2]
+    by_exponential = np.zeros_like(exponential)
+    for t in range(m - 1, -1, -1):
+        matrix, slopes = exponential[pattern[t]], by_exponential[pattern[t]]
+        for i in range(s):
+            later = by_x[t + 1, i]
+            for j in range(s):
+                out, factor, slope, state = by_x[t, j], matrix[i, j], slopes[i, j], x[t, j]
+                for row in range(n):
+                    out[row] += factor[row] * later[row]
+                    slope[row] += later[row] * state[row]
+    return by_exponential
