@@ -15,6 +15,7 @@ from studies.words.wording import (
     compared_in,
     count,
     difference_unit,
+    ended,
     in_letters,
     listed,
     moment_of,
@@ -61,8 +62,8 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     if found.n_warm_start:
         cost += f", begun with {count(found.n_warm_start, 'stored simulation')}"
     return (
-        f"{found.error_name} {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}); "
-        f"it ended because {found.stop_reason}"
+        f"{found.error_name} {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}). "
+        f"{ended(found.stop_reason, converged=found.converged)}"
     )
 
 
