@@ -273,7 +273,7 @@ def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
     names = {one.found.error_name for one in calibrations}
     final = f"final {names.pop()}" if len(names) == 1 else "final error"
     columns = [Column("calibration"), number(final), number("calls (paper)")]
-    columns += [number("calls (all)", spare=2), Column("ended because", spare=3), number("finished", spare=1)]
+    columns += [number("calls (all)", spare=2), Column("how it ended", spare=3), number("finished", spare=1)]
     is_any_changed = any(one.changed_since for one in calibrations)
     columns += [Column("changed since")] * is_any_changed
     rows = []

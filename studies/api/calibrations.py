@@ -16,7 +16,7 @@ from studies.opening import sizes
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration
 from studies.words.console import Console
-from studies.words.wording import axis_label, quantity, square_of
+from studies.words.wording import axis_label, ended, quantity, square_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -198,7 +198,8 @@ class CalibrationResult:
     def _sentences(self) -> Iterator[str]:
         unit = square_of(next(iter(self.units.values())))
         error = f"{self.error_name} {quantity(self.mse, unit, 4)}"
-        yield f"{self.name}: {error} after {self.calls} model calls; it ended because {self.reason}"
+        how = ended(self.reason, converged=self.converged)
+        yield f"{self.name}: {error} after {self.calls} model calls. {how}"
         if self.note:
             yield f"Note: {self.note}"
 

@@ -1,12 +1,14 @@
-"""Slopes of residuals at a point, by central differences of the model."""
+"""Slopes of residuals at a point, by differences of the model."""
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import FloatArray
 
 
 def difference_rows(u: FloatArray, step: float) -> FloatArray:
-    """Return a point, then one row per parameter moved up, then one per parameter moved down.
+    """Return a point, then two more rows per parameter: all first ones, then all second ones.
+
+    They lie on both sides of the point; where a bound is nearer than half a step, both on the other side.
 
     Args:
         u: The point in the unit cube. Shape (p,). [1]
@@ -15,29 +17,34 @@ def difference_rows(u: FloatArray, step: float) -> FloatArray:
     Returns:
         Shape (2 p + 1, p). [1]
     """
-    # At a bound the difference is one-sided, as nothing says that the model answers beyond it.
+    # Nothing says that the model answers beyond a bound.
     ahead, behind = np.minimum(u + step, 1.0), np.maximum(u - step, 0.0)
+    ahead = np.where(ahead - u < 0.5 * step, u - 2.0 * step, ahead)
+    behind = np.where(u - behind < 0.5 * step, u + 2.0 * step, behind)
     is_moved = np.eye(len(u), dtype=np.bool_)
     return np.concatenate([u[None], np.where(is_moved, ahead, u), np.where(is_moved, behind, u)])
 
 
 def difference_slopes(u: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return a row of the residuals' slopes per parameter, 0 where both sides fail. Shape (p, m).
+    """Return a row of the residuals' slopes per parameter, 0 where both rows fail. Shape (p, m).
 
-    Where one side fails, the point itself takes its place.
+    They are those of the parabola through the three rows, of which no bend is taken for a slope however
+    uneven the steps are. Where one row fails, it is the line through the other two.
 
     Args:
         u: The points of `difference_rows`. Shape (2 p + 1, p). [1]
         residuals: The model there, not finite where it failed. Shape (2 p + 1, m). [unit]
     """
     p = u.shape[1]
-    ends = []
-    for side in (slice(1, p + 1), slice(p + 1, None)):
-        # One failed side leaves a one-sided difference, which is less exact but says more than none.
-        is_good: BoolArray = np.all(np.isfinite(residuals[side]), axis=1)
-        there = np.where(is_good, np.diag(u[side]), u[0])
-        ends.append((there, np.where(is_good[:, None], residuals[side], residuals[0])))
-    (ahead, above), (behind, below) = ends
-    # Where both sides failed the slope becomes 0 / 1, not 0 / 0.
-    width = np.where(ahead > behind, ahead - behind, 1.0)
-    return (above - below) / width[:, None]
+    sides = slice(1, p + 1), slice(p + 1, None)
+    first, second = (np.diag(u[side]) - u[0] for side in sides)
+    is_good = [np.all(np.isfinite(residuals[side]), axis=1) for side in sides]
+    # Weights of the two changes: Lagrange's formula, or of a line where the other row fails.
+    both = is_good[0] & is_good[1]
+    of_first = np.where(both, second / (first * (second - first)), is_good[0] / first)
+    of_second = np.where(both, first / (second * (first - second)), is_good[1] / second)
+    changes = [
+        np.where(good[:, None], residuals[side] - residuals[0], 0.0)
+        for good, side in zip(is_good, sides, strict=True)
+    ]
+    return np.asarray(of_first[:, None] * changes[0] + of_second[:, None] * changes[1])

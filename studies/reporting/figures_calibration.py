@@ -33,6 +33,7 @@ from studies.words.wording import (
     axis_label,
     count,
     difference_unit,
+    ended,
     percent,
     quantity,
     shown_unit,
@@ -207,7 +208,7 @@ def calls_figure(case: Case, found: Calibration) -> Figure:
     panel = Panel(name, x, Axis(axis_label(f"best {name}", unit), LOG), series, 260)
     total = count(found.n_calls_paper, "model call")
     title = f"Best {name} over model calls: {quantity(final, unit)} after {total}"
-    return Figure(title, (panel,), caption=f"The search ended because {found.stop_reason}.")
+    return Figure(title, (panel,), caption=f"{ended(found.stop_reason, converged=found.converged)}.")
 
 
 def band_figure(case: Case, found: Uncertainty) -> Figure:

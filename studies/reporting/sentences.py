@@ -7,7 +7,7 @@ import numpy as np
 
 from studies.calibration.search.misfit_threshold import misfit_threshold
 from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
-from studies.calibration.uncertainty.noise import VANISHING, Noise
+from studies.calibration.uncertainty.noise import Noise
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Determined, EquationsFound, LargestSample, Uncertainty
 from studies.words.console import format_seconds
@@ -15,6 +15,7 @@ from studies.words.wording import (
     compared_in,
     count,
     difference_unit,
+    ended,
     in_letters,
     listed,
     moment_of,
@@ -61,8 +62,8 @@ def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
     if found.n_warm_start:
         cost += f", begun with {count(found.n_warm_start, 'stored simulation')}"
     return (
-        f"{found.error_name} {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}); "
-        f"it ended because {found.stop_reason}"
+        f"{found.error_name} {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}). "
+        f"{ended(found.stop_reason, converged=found.converged)}"
     )
 
 
@@ -261,8 +262,8 @@ def uncertainty_sentences(found: Uncertainty, unit: str) -> list[str]:
     said = [noise_sentence(noise, unit)]
     sensor = math.inf if found.sensor is None else found.sensor
     doubtful = misfit_threshold(sensor)
-    if noise.kind == "sensor" and math.sqrt(best) <= VANISHING * sensor:
-        said[0] += " The best fit is within a tenth of it, so that its residuals show no noise."
+    if noise.kind == "sensor" and math.sqrt(best) < sensor:
+        said[0] += f" The best fit differs by less, {quantity(math.sqrt(best), unit)} (RMS)."
     if noise.kind != "sensor" and doubtful is not None and best > doubtful:
         said[0] += (
             f" The best fit is off by {significant(math.sqrt(best) / sensor)} times the sensor's "

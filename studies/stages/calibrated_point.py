@@ -24,7 +24,7 @@ from studies.calibration.prior import Prior
 from studies.calibration.recorder import History
 from studies.calibration.search.adaptive import AdaptiveResult
 from studies.calibration.uncertainty.identifiability import judged_slopes
-from studies.calibration.uncertainty.noise import NoiseKind, noise_of
+from studies.calibration.uncertainty.noise import noise_of
 from studies.physical_model import open_physical_model
 from studies.results.stage_results import (
     Calibration,
@@ -174,7 +174,7 @@ def determined(
 ) -> Determined | None:
     """Return which parameters the data leave open near a point; None where too little is known of slopes.
 
-    The noise is the sensor's declared uncertainty, or what the residuals show, whichever leaves more open.
+    The noise is that of `noise_of`, as `studies uncertainty` takes it unless another is asked for.
 
     Args:
         names: Names of the p free parameters.
@@ -185,10 +185,8 @@ def determined(
     """
     if slopes is None:
         return None
-    # Small residuals alone, as those of data without noise, would call everything determined.
-    kinds: tuple[NoiseKind, ...] = ("correlated", "sensor")
-    raised = max(noise_of(kind, measurement, y, len(names)).raised for kind in kinds)
-    found = judged_slopes(names, slopes, raised, prior=prior)
+    noise = noise_of("correlated", measurement, y, len(names))
+    found = judged_slopes(names, slopes, noise.raised, prior=prior)
     return Determined(
         spread=dict(zip(names, found.spread.tolist(), strict=True)),
         open=tuple(name for name in names if name not in found.determined),

@@ -32,7 +32,7 @@ def show_calibrations(task: Task, outcomes: Sequence[Outcome[Calibration]]) -> N
     for one in outcomes:
         _warn_failed(task, one.result)
     if found.left:
-        console.result(f"Stopped, not converged: {found.left}")
+        console.result(f"Not converged: {found.left}")
     for line in calibration_sentences(case, found):
         console.result(line)
     if found.is_adaptive:
@@ -78,9 +78,9 @@ def _misfit(task: Task, found: Calibration) -> str:
         return "the search ended at its target; without --target it goes on"
     if found.converged:
         who = "state equations know of" if found.believes_equations else "surrogate expects"
-        return f"the {who} no deeper valley in the box: {lacks}, or a bound is in the way"
+        return f"the {who} no better minimum within the bounds: {lacks}, or a bound is in the way"
     more = "more --max-calls, " if isinstance(most, int) and found.n_calls_paper >= most else ""
-    return f"there may be a deeper valley, or {lacks}; try {more}another --seed, or studies run"
+    return f"there may be a better minimum elsewhere, or {lacks}; try {more}another --seed, or studies run"
 
 
 def show_uncertainty(task: Task, found: Uncertainty) -> None:

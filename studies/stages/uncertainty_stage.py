@@ -111,7 +111,7 @@ def uncertainty_stage(
         "sampling": asdict(sampling_within(max_calls, case.parameter_space.n_parameters)),
         "step": STEP,
         "seed": task.profile.seed,
-        **(sensor_inputs(case) if noise == "sensor" else {}),
+        **sensor_inputs(case),
         **({"state_equations": True} if calibration.result.believes_equations else {}),
     }
     what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
@@ -187,7 +187,7 @@ def _result(
     found, local, noise = assessed.sample, assessed.local, assessed.noise
     space, measurement, u = problem.space, problem.measurement, assessed.sample.particles
     linear, ends = space.from_unit(assessed.linear).T, space.from_unit(assessed.interval).T
-    known, theta = knowledge(space, u, problem.prior), assessed.point.theta[0]
+    known, theta = knowledge(space, u, local.determined, problem.prior), assessed.point.theta[0]
     good = np.isfinite(found.drawn.mse)
     bands = bands_of(found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL)
     n, sensor = len(found.weights), float(measurement.uncertainty[0])

@@ -71,6 +71,11 @@ def in_letters(n: int) -> str:
     return letters[n] if n < len(letters) else f"{n:,}"
 
 
+def ended(reason: str, *, converged: bool) -> str:
+    """Say how a search ended, and whether it has converged."""
+    return f"{'Converged' if converged else 'Stopped'}: {reason}"
+
+
 def percent(fraction: float | None) -> str:
     """Write a fraction as a percentage; a nearly-all or nearly-none is not rounded to all or none."""
     if fraction is None or math.isnan(fraction):

@@ -105,8 +105,8 @@ def test_stops_when_nothing_more_is_expected(ended: AdaptiveResult) -> None:
     assert found.n_calls < 60
     assert found.expected_gain <= SHORT.ftol
     assert re.fullmatch(
-        r"what is known of the model promises no gain above 0\.02 of the error anywhere in the box, and \d+ "
-        r"rounds of tests where more is least unlikely and \d restarts gained no more",
+        r"the search expects at most 2 % less error anywhere within the bounds; \d+ rounds of checks and "
+        r"\d restarts gained less than 1 % of the error",
         found.stop_reason,
     )
     assert not found.left
@@ -143,18 +143,20 @@ def test_a_target_is_sought_until_the_budget_is_spent_and_its_miss_is_said(ended
 
 def test_a_search_that_has_to_stop_says_what_may_be_left() -> None:
     left = [replace(SHORT, max_calls=n).minimize(rc_problem(noise=0.05), seed=0).left for n in (3, 6, 18)]
-    assert left[0] == "the first design is not finished, and the next round would go on with it"
+    assert left[0] == "the first simulations are not finished; a larger --max-calls goes on with them"
     assert re.fullmatch(
-        r"the last \d simulations gained 0\.\d+ of the error; .* go on from the best point", left[1]
+        r"the last \d simulations gained [\d.e+]+ % of the error.*; .* goes on from the best point", left[1]
     )
-    assert re.fullmatch(r"around the best .* \d of 4 rounds of tests and \d of 3 restarts .*", left[2])
+    assert re.fullmatch(
+        r"near the best .* \(\d of 4 rounds of checks and \d of 3 restarts are done\); .*", left[2]
+    )
 
 
 def test_an_error_that_is_too_large_stops_a_search_as_early_and_is_named(ended: AdaptiveResult) -> None:
     large = replace(SHORT, misfit_threshold=1e-9).minimize(rc_problem(noise=0.05), seed=0)
     assert not large.converged
     assert large.n_calls == ended.n_calls < 60
-    assert "more than the sensor explains" in large.stop_reason
+    assert "more than the sensor's uncertainty explains" in large.stop_reason
     assert "the model lacks something" in large.left
 
 
@@ -163,7 +165,7 @@ def test_an_error_that_is_too_large_is_no_convergence_where_valleys_may_hide() -
         problem_on(Waves(), np.array([1.3]), noise=0.1), seed=0
     )
     assert not found.converged
-    assert "a deeper valley may be left" in found.left
+    assert "there may be a better minimum elsewhere" in found.left
 
 
 def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated() -> None:

@@ -10,10 +10,12 @@ from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
-from studies.calibration.differences import difference_rows
+from studies.calibration.differences import difference_rows, difference_slopes
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.search.adaptive import Adaptive
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.uncertainty.assess import Assessment, assess, sampling_within
+from studies.calibration.uncertainty.findings import compensations, knowledge
 from studies.calibration.uncertainty.identifiability import Ridge, judged, judged_slopes
 from studies.calibration.uncertainty.noise import noise_of
 from studies.reporting.sentences import determined_sentences
@@ -79,6 +81,18 @@ RIDGES = {
 }
 
 
+N_JUDGED = 2  # seeds of which a sample is drawn, too
+
+
+def judged_by_uncertainty(problem: CalibrationProblem, found: AdaptiveResult) -> Assessment:
+    """Judge a calibrated point as `studies uncertainty` does."""
+    space = problem.space
+    noise = noise_of("correlated", problem.measurement, found.y, space.n_parameters)
+    sampling = sampling_within(70, space.n_parameters)
+    theta = space.from_unit(found.u)
+    return assess(problem, theta, found.y, noise=noise, known=None, sampling=sampling, seed=0)
+
+
 @pytest.mark.parametrize("name", RIDGES)
 @pytest.mark.parametrize(
     ("has_equations", "seed"), [*((True, seed) for seed in range(10)), *((False, seed) for seed in range(3))]
@@ -103,8 +117,46 @@ def test_data_without_noise_do_not_determine_what_acts_through_products(
         "resistances rise together as the capacity falls"
     )
     assert words in determined_sentences(said)[-1]
-    # `uncertainty` takes the sensor's noise likewise.
-    assert noise_of("correlated", problem.measurement, found.y, len(truth)).kind == "sensor"
+    if seed < N_JUDGED:
+        assessed = judged_by_uncertainty(problem, found)
+        assert assessed.noise.kind == "sensor"
+        assert set(assessed.local.determined) == set(problem.space.names) - set(said.open)
+        pairs = compensations(problem.space, assessed.sample.particles)
+        assert {(one.first, one.second) for one in pairs} == set(named)
+        assert all(one.known == ("ratio" if named[one.first, one.second] else "product") for one in pairs)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("sensor", "n_open"), [(1.0, 2), (5.0, 3)])
+def test_calibration_and_uncertainty_agree_on_what_is_determined(
+    sensor: float, n_open: int, seed: int
+) -> None:
+    """Noise of 1 K: a sensor of 5 K does not determine the start, however well the residuals fit."""
+    problem = measured(ONE_PRODUCT, np.array([6.0, 2000.0, 294.0]), 1.0, sensor=sensor, seed=seed)
+    found = Adaptive(max_calls=60).minimize(problem, seed=seed)
+    said = determined(problem.space.names, problem.measurement, None, y=found.y, slopes=found.slopes)
+    assert said is not None
+    assert said.open == problem.space.names[:n_open]
+    assessed = judged_by_uncertainty(problem, found)
+    known = knowledge(problem.space, assessed.sample.particles, assessed.local.determined)
+    assert tuple(name for name, what in known.items() if what != "determined") == said.open
+
+
+@pytest.mark.parametrize("u", [[0.997, 0.2], [1.0, 0.0], [0.5, 0.004]])
+@pytest.mark.parametrize("fails", [False, True])
+def test_differences_beside_a_bound_take_no_bend_for_a_slope(u: list[float], fails: bool) -> None:
+    """Along u1 + u2 a parabola has its bend, and no slope across: uneven steps had shown one."""
+    rows = difference_rows(np.array(u), 0.01)
+    assert rows.min() >= 0.0
+    assert rows.max() <= 1.0
+    along = rows.sum(axis=1, keepdims=True)
+    residuals = np.concatenate([3.0 * along + 40.0 * along**2, rows], axis=1)
+    if fails:
+        # Of a line through the point and one row, the row that is left.
+        residuals[1], residuals[4] = np.nan, np.nan
+    slopes = difference_slopes(rows, residuals)
+    expected = np.column_stack([np.full(2, 3.0 + 80.0 * along[0, 0]), np.eye(2)])
+    np.testing.assert_allclose(slopes, expected, atol=1e-9 if not fails else 40.0 * 0.0201)
 
 
 def test_a_budget_that_holds_no_differences_leaves_open_what_is_determined() -> None:

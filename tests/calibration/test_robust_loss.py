@@ -91,7 +91,8 @@ def test_the_likelihood_is_as_wide_as_robust_means_scatter(kind: LossKind) -> No
         means = np.sum(weights * y, axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
     widths = []
     for row, (mean,) in zip(y[:200], means, strict=False):
-        measurement = Measurement.on_grid(600.0 * np.arange(m), row[:, None], ("y",), np.ones(1))
+        # A sensor of less than the noise: else its declared uncertainty would be the noise.
+        measurement = Measurement.on_grid(600.0 * np.arange(m), row[:, None], ("y",), np.array([0.5]))
         measurement = with_each(measurement, loss=loss)
         noise = noise_of("white", measurement, np.full((m, 1), mean), 1)
         beside = np.array([mean - step, mean, mean + step])[:, None, None] + np.zeros((m, 1))

@@ -48,7 +48,7 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     shown = studies(*command)
     assert "finished before" in shown.err
     assert f"after {calls['n_adaptive']} model calls" in shown.out
-    assert f"it ended because {stage['stop_reason']}" in shown.out
+    assert f"Converged: {stage['stop_reason']}" in shown.out
     assert "qIntOcc" in shown.out
     left_open = stage["determined_by_data"]["open"]
     assert {"rExt1", "rExt2", "cExt1"} <= {*left_open}
@@ -89,8 +89,8 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     arguments = (*ADAPTIVE[:-1], "2", "--parallel", "4", "--target", "0.1", "--seed", "1")
     answer = studies(*arguments)
     assert answer.code == 0, answer.err
-    assert "it ended because the target is reached" in answer.out
-    assert "deeper valley" not in answer.out
+    assert "Converged: the target is reached" in answer.out
+    assert "better minimum" not in answer.out
     stage = studies(*arguments, "--json").stage
     assert stage["mse"] <= 0.1
     assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4

@@ -54,7 +54,7 @@ def test_it_goes_on_from_what_is_stored_and_says_what_the_equations_did(project:
     assert learnt["n_states"] == 3
     assert learnt["misfit"] < 1e-12
     assert f"learnt, and {learnt['n_calls']} call went where they expect the lowest error" in answer.out
-    assert "it ended because the state equations expect a gain of less than 0.001" in answer.out
+    assert "Converged: by the state equations at most 0.1 % of the error" in answer.out
     manifest = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
     made = json.loads(manifest.read_text(encoding="utf-8"))["provenance"]
     assert made["command"] == "studies calibrate wall --jobs 1"

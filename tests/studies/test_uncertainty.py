@@ -137,9 +137,8 @@ def test_a_product_is_known_and_its_factors_are_not():
     problem = posed(product(), [2.0, 0.7, 1.5], sigma=0.02, uncertainty=0.02, seed=0)
     found = assessed(problem, [2.0, 0.7, 1.5], kind="sensor", max_calls=100)
     space = problem.space
-    assert space.names[2:] == tuple(
-        n for n, k in knowledge(space, found.sample.particles).items() if k == "determined"
-    )
+    known = knowledge(space, found.sample.particles, found.local.determined)
+    assert space.names[2:] == tuple(n for n, k in known.items() if k == "determined")
     pair = compensations(space, found.sample.particles)[0]
     assert (pair.first, pair.second, pair.known) == ("a", "b", "product")
     assert "compensate each other: only their product is known, to " in pair.in_words

@@ -75,11 +75,10 @@ def ask_anywhere(state: SearchState) -> None:
 
 
 def compare_beside(state: SearchState) -> None:
-    """Ask points on both sides of the best one along every parameter, for the slopes there."""
+    """Ask two points beside the best one along every parameter, for the slopes there."""
     rows = state.rows
     n, best = rows.n, rows.best()
-    # So far inside that no side is cut: a one-sided difference shows a slope along a bent ridge.
-    state.ask(difference_rows(np.clip(best.u, STEP_BESIDE, 1.0 - STEP_BESIDE), STEP_BESIDE)[1:])
+    state.ask(difference_rows(best.u, STEP_BESIDE)[1:])
     places = [best.row, *range(n, rows.n)]
     state.differences = difference_slopes(rows.u[places], rows.residuals[places]).T
 

@@ -1,6 +1,7 @@
 """What a posterior sample says in plain words: which parameters are known, and which only together."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import combinations
 from statistics import NormalDist
@@ -105,7 +106,9 @@ def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, .
     return tuple(found[:MOST_NAMED])
 
 
-def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) -> dict[str, str]:
+def knowledge(
+    space: ParameterSpace, u: FloatArray, determined: Collection[str], prior: Prior | None = None
+) -> dict[str, str]:
     """Say of each parameter what the data say: "determined", "narrowed", "open" or, of a prior's, "prior".
 
     An interval counts as a share of what it would be without data: nine tenths of the range, or the prior's.
@@ -113,6 +116,8 @@ def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) 
     Args:
         space: The parameters.
         u: A posterior sample. Shape (n, p). [1]
+        determined: Parameters that the slopes at the point determine, as a calibration judges them. No other
+            is called so: along a long, narrow valley a sample may be too short.
         prior: What was known beforehand, or None.
     """
     low, high = np.quantile(u, ENDS, axis=0)
@@ -124,7 +129,8 @@ def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) 
             before, left_open = _width(float(prior.centre[j]), float(prior.width[j])), "prior"
         # Without data it becomes 0.9, with or without a prior, so one pair of limits serves both.
         share = float(high[j] - low[j]) * LEVEL / before
-        found[name] = "determined" if share < DETERMINED_TO else left_open if share > OPEN else "narrowed"
+        is_determined = share < DETERMINED_TO and name in determined
+        found[name] = "determined" if is_determined else left_open if share > OPEN else "narrowed"
     return found
 
 

@@ -28,9 +28,6 @@ from studies.calibration.prior import worth_of
 NoiseKind = Literal["correlated", "white", "sensor"]
 
 # With as many parameters as independent samples the correction would divide by 0.
-VANISHING = 0.1
-"""Residuals whose root mean square is below this share of the sensor's uncertainty show no noise. By hand."""
-
 MOST_TAKEN = 0.5
 """Share of the noise's variance that fitted parameters are thought to take away at most."""
 
@@ -72,10 +69,10 @@ class Noise:
 
 
 def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_parameters: int) -> Noise:
-    """Return the noise of a measurement, judged by the best simulation.
+    """Return the noise by which everything judges what a measurement determines, from the best simulation.
 
-    Where its residuals vanish beside the sensor's uncertainty, as those of data without noise do, the noise
-    is the sensor's, whatever the kind.
+    It is the sensor's, whatever the kind, where that leaves more open than the residuals: small residuals
+    alone, as those of data without noise, would call everything determined.
 
     Args:
         kind: Which model of the noise.
@@ -84,13 +81,24 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         n_parameters: Parameters that were fitted to it.
     """
     m, sensor = measurement.n_samples, float(measurement.uncertainty[0])
+    # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
+    declared = Noise("sensor", sensor, m, declared_independent_samples(measurement))
+    # Limits that are kept show no noise.
+    if kind == "sensor" or not measurement.measured:
+        return declared
+    shown = _shown(kind, measurement, y, n_parameters)
+    return declared if shown.raised < declared.raised else shown
+
+
+def _shown(
+    kind: Literal["correlated", "white"], measurement: Measurement, y: FloatArray, n_parameters: int
+) -> Noise:
+    """Return the noise that the residuals of a simulation (t, k) show."""
+    m = measurement.n_samples
     parts = [measurement.scatter(y, k) for k in measurement.measured]
     n_measured = sum(len(part) for part in parts)
     # Limits that are kept say nothing of noise, but all residuals are scaled by the number of all of them.
     squares = sum(float(part @ part) for part in parts) * (n_measured / m)
-    if kind == "sensor" or squares <= n_measured * (VANISHING * sensor) ** 2:
-        # The sensor's deviation is no estimate, so there is nothing that a fit took from it.
-        return Noise("sensor", sensor, m, declared_independent_samples(measurement))
     if kind == "white":
         # m - p degrees of freedom make the estimate of the variance unbiased.
         return Noise(kind, float(np.sqrt(squares / max(n_measured - n_parameters, 1))), m, float(n_measured))
