@@ -61,9 +61,8 @@ class TuningBudget:
 
     Args:
         n_trials: trials per training-set size, in total.
-        surrogate: "state-space" (a PELS-VAE whose decoder knows the inputs), "refined" (a PELS-VAE of
-            networks with the settings that were found to help), "paper" (a PELS-VAE of networks as published)
-            or "pca-gp" (PCA and Gaussian processes).
+        surrogate: "state-space" (its decoder knows the inputs), "refined" (networks with the settings that
+            were found to help), "paper" (networks as published) or "pca-gp" (PCA and Gaussian processes).
         max_epochs: limit of one training; None takes the surrogate's.
         patience: epochs without a better validation error; None takes the surrogate's.
         device: where the trials are trained; "auto" takes CUDA where there is some.

@@ -111,14 +111,11 @@ NETWORK_SPACE: SearchSpace = {
 }
 """Searched for networks where the profile names no search space."""
 LEARNING_RATE = SearchParameter("float", low=1.5e-3, high=6e-3, log=True)
-# The code is hardly used where powers of the parameters make the network (docs/notes/surrogates.md), so its
-# dimension is searched for layers alone.
 STATE_SPACE: SearchSpace = {
     "states": SearchParameter("categorical", choices=("stores", "modes")),
     "n_stores": SearchParameter("int", low=3, high=6),
     "sparsity": SearchParameter("float", low=0.1, high=3.0, log=True),
-    "n_hidden": NETWORK_SPACE["n_hidden"],
-    "beta": NETWORK_SPACE["beta"],
+    **NETWORK_SPACE,
     "learning_rate": LEARNING_RATE,
 }
 """Searched for decoders that know the inputs where the profile names no search space."""

@@ -182,7 +182,12 @@ def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
 
     quick, text = load_profile("quick"), read(README)
     for name, searched in quick.tuning.space.items():
-        assert re.search(rf"^\| `{name}`.*\| {searched.low:g} to {searched.high:g}, logarithmic", text, re.M)
+        found = re.search(rf"^\| `{name}`.*\| (.*?) \|", text, re.M)
+        assert found, name
+        if searched.kind == "categorical":
+            assert re.findall(r"`(.*?)`", found[1]) == list(searched.choices)
+        else:
+            assert found[1] == f"{searched.low:g} to {searched.high:g}" + ", logarithmic" * searched.log
     assert f"| {quick.tuning.n_trials} per size, `{quick.tuning.sampler['name']}`" in text
     assert ", ".join(map(str, quick.data.n_train)) in text
 
