@@ -80,7 +80,7 @@ def _misfit(task: Task, found: Calibration) -> str:
         who = "state equations know of" if found.believes_equations else "surrogate expects"
         return f"the {who} no better minimum within the bounds: {lacks}, or a bound is in the way"
     more = "more --max-calls, " if isinstance(most, int) and found.n_calls_paper >= most else ""
-    return f"there may be a better minimum in another region, or {lacks}; try {more}another --seed, or studies run"
+    return f"another minimum may be better, or {lacks}; try {more}another --seed, or studies run"
 
 
 def show_uncertainty(task: Task, found: Uncertainty) -> None:

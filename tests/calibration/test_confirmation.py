@@ -69,5 +69,5 @@ def test_what_is_promised_and_not_found_is_said() -> None:
         assert confirmation.is_tested
     assert confirmation.has_looked
     assert not after_tests(confirmation, switches=False).converged
-    said = f"a gain of up to {200.0 * PROMISED:g} % of the error is not excluded in other regions"
+    said = f"a gain of up to {200.0 * PROMISED:g} % of the error is not excluded beside it"
     assert said in still_owed(confirmation, 1e-3)
