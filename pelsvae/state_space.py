@@ -236,7 +236,7 @@ class Walked(torch.autograd.Function):
         places = [np.flatnonzero(pattern == one) for one in range(r)]
         driven = np.empty((len(pattern), s, n), dtype=np.float32)
         for one, steps in enumerate(places):
-            driven[steps] = (inputs[steps] @ gains[one].T).reshape(-1, s, n)
+            driven[steps] = _product(inputs[steps], gains[one].T).reshape(-1, s, n)
         walks, reported = list[Floats](), list[Floats]()
         for place, (steps, times) in enumerate(drive.experiments()):
             x = np.empty((steps.stop - steps.start + 1, s, n), dtype=np.float32)
@@ -278,7 +278,7 @@ class Walked(torch.autograd.Function):
             by_driven[steps] = by_x[1:]
             by_first.append(by_x[0])
         by_gains = np.stack(
-            [(by_driven[one].reshape(-1, s * n).T @ inputs[one]).reshape(s, n, -1) for one in places]
+            [_product(by_driven[one].reshape(-1, s * n).T, inputs[one]).reshape(s, n, -1) for one in places]
         ).astype(np.float64)  # (r, s, n, c)
         by_integral = np.einsum("rinc,rjcn->ijrn", by_gains, by_inputs)
         by_b = np.einsum("ijrn,rinc->rjcn", integral, by_gains)
@@ -292,6 +292,12 @@ class Walked(torch.autograd.Function):
         )
         slopes = by_a.reshape(s, s, r, n).transpose(2, 0, 1, 3), by_b, np.stack(by_first).astype(np.float64)
         return *(torch.from_numpy(np.ascontiguousarray(one)) for one in slopes), None, None, None
+
+
+def _product(left: Floats, right: Floats) -> Floats:
+    """Return a matrix product by torch, whose threads `n_threads` sets: NumPy's would take every core."""
+    product: Floats = (torch.from_numpy(left) @ torch.from_numpy(right)).numpy()
+    return product
 
 
 def _powers_of(theta: ThetaStandardizer, drive: Drive) -> tuple[Ints, Array]:
