@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 from simulation.errors import ReuseError
 from studies.keywords import check, typed
 from studies.opening import open_task
-from studies.tracking.guest import settings_of_mlflow_kept
 from studies.words.console import Console
+from studies.words.quiet_loggers import working
 
 if TYPE_CHECKING:
     from studies.task import Task
@@ -51,7 +51,7 @@ def verb(function: Callable[P, T]) -> Callable[P, T]:
             raise TypeError(f"{name}() got an unexpected keyword argument {unknown!r}{hint}")
         given = signature.bind(*args, **kwargs).arguments
         check(name, given)
-        with settings_of_mlflow_kept():
+        with working():
             return begun_anew(partial(function, *args, **kwargs), given.get("console"))
 
     return checked

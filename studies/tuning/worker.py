@@ -32,6 +32,7 @@ from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import open_storage, study_locked
 from studies.tuning.trial_training import load_data, train
+from studies.words.quiet_loggers import working
 
 
 class TrialFailedError(Exception):
@@ -206,8 +207,9 @@ def run_studies(paths: ProjectPaths | None, names: Sequence[str], until_s: float
         The exit code: 2 where a study cannot be used.
     """
     try:
-        for name in names:
-            Worker(paths or find_project(None), name).run(until_s=until_s)
+        with working():
+            for name in names:
+                Worker(paths or find_project(None), name).run(until_s=until_s)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
