@@ -21,6 +21,7 @@ from studies.stages.simulate_stage import set_files
 from studies.task import StageError, Task
 from studies.tuning.attempts import places
 from studies.tuning.sampler import make_pruner, make_sampler
+from studies.tuning.study_results import of_project
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.words.wording import count, difference_unit, quantity
 
@@ -138,7 +139,7 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
                 is_baseline=True,
             )
             found.append(baseline)
-    return found
+    return of_project(found, task.paths)
 
 
 def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:

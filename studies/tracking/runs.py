@@ -33,6 +33,9 @@ from studies.tracking.quiet_mlflow import (
     mlflow,
     storing_files,
 )
+from studies.tracking.sending import begin_sending
+from studies.tracking.shared_names import PROJECT, own_experiment
+from studies.tracking.study_tags import NOTE, TRACKING
 from studies.words.wording import difference_unit
 
 if TYPE_CHECKING:
@@ -43,7 +46,6 @@ if TYPE_CHECKING:
 
 Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
-NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 CURVE = "curve/"
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
@@ -60,7 +62,7 @@ class RunStore:
     """
 
     def __init__(self, paths: ProjectPaths) -> None:
-        self._paths = paths
+        self.paths = paths
         check_written(paths.artifacts)
         self._artifacts = paths.artifacts.resolve()
         self._artifacts.mkdir(parents=True, exist_ok=True)
@@ -73,20 +75,19 @@ class RunStore:
             self.client = connect(paths.tracking_uri)
         self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
+        self._identity = paths.identity
+        self._marks = {PROJECT: self._identity} if self._identity else {}
+        self._marks |= {TRACKING: paths.server.uri} if paths.server is not None else {}
 
     def experiment(self, label: str) -> str:
         """Return the id of a label's experiment, a new one where there is none."""
         if label not in self._experiments:
             # On a server there is no file that artifacts could lie beside: they lie in this project's folder.
             folder = folder_name(label)
-            lies_beside = self._paths.storage is None
+            lies_beside = self.paths.storage is None
             location = f"{SCHEME}:/{folder}" if lies_beside else (self._artifacts / folder).as_uri()
-            with FileLock(self._paths.mlruns / ".mlflow.lock"):
-                known = self.client.get_experiment_by_name(label)
-                found = known.experiment_id if known else self.client.create_experiment(label, location)
-                if known and known.lifecycle_stage == "deleted":
-                    self.client.restore_experiment(found)
-            self._experiments[label] = str(found)
+            with FileLock(self.paths.mlruns / ".mlflow.lock"):
+                self._experiments[label] = own_experiment(self.client, label, self._identity, location)
         return self._experiments[label]
 
     def describe(self, label: str, note: str) -> None:
@@ -103,17 +104,28 @@ class RunStore:
         page: str | None = ""
         while page is not None:
             part = self.client.search_runs(where, query, order_by=order, page_token=page or None)
-            found += part
+            # Another project may have runs in an experiment that has no owner.
+            found += [one for one in part if one.data.tags.get(PROJECT, self._identity) == self._identity]
             page = part.token or None
         return found
 
     def begin(self, label: str, name: str, tags: Mapping[str, Any], *, start_s: float | None = None) -> str:
         """Make a run, and return its id."""
         start = None if start_s is None else round(1000.0 * start_s)
-        said = {**self._origin, "label": label, **{key: str(value) for key, value in tags.items()}}
+        said = {
+            **self._origin,
+            **self._marks,
+            "label": label,
+            **{key: str(value) for key, value in tags.items()},
+        }
         said |= {NOTE: without_pictures(said[NOTE])} if NOTE in said else {}
         run = self.client.create_run(self.experiment(label), start_time=start, run_name=name, tags=said)
         return str(run.info.run_id)
+
+    def open_again(self, run_id: str) -> None:
+        """Open a run that has ended; from now on it is also sent to the server that the project has."""
+        self.client.update_run(run_id, status="RUNNING")
+        self.log(run_id, tags=self._marks)
 
     def is_there(self, run_id: str) -> bool:
         """Whether a run exists and was not deleted, as its owner may in MLflow."""
@@ -167,9 +179,11 @@ class RunStore:
         """
         try:
             place = self.client.get_run(run_id).info.artifact_uri
-            files = get_artifact_repository(place, tracking_uri=self._paths.tracking_uri)
-            if isinstance(files, LocalArtifactRepository) and (Path(files.artifact_dir) / name).exists():
-                return Path(files.artifact_dir) / name
+            files = get_artifact_repository(place, tracking_uri=self.paths.tracking_uri)
+            if isinstance(files, LocalArtifactRepository):
+                here = Path(files.artifact_dir) / name
+                here.stat()
+                return here
             return Path(files.download_artifacts(name, str(folder)))
         except (mlflow.MlflowException, OSError) as error:
             line = next(iter(str(error).splitlines()), "")
@@ -180,10 +194,17 @@ class RunStore:
         self.client.set_terminated(run_id, status, None if end_s is None else round(1000.0 * end_s))
 
 
-@lru_cache(maxsize=4)
+_opened = lru_cache(maxsize=4)(RunStore)
+
+
 def run_store(paths: ProjectPaths) -> RunStore:
-    """Return the runs of a project; opening them costs MLflow's import, so it is done once per process."""
-    return RunStore(paths)
+    """Return the runs of a project; opening them costs MLflow's import, so it is done once per process.
+
+    A command that asks for it sends them to the project's server from now on.
+    """
+    store = _opened(paths)
+    begin_sending(paths)
+    return store
 
 
 def log_stage(

@@ -18,7 +18,7 @@ BEST = "best"
 def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None) -> str:
     """Open the run of a study, a new one or the one it has, and return its id."""
     if run_id is not None and runs.is_there(run_id):
-        runs.client.update_run(run_id, status="RUNNING")
+        runs.open_again(run_id)
         return run_id
     role = "baseline study" if spec.is_baseline else "study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}

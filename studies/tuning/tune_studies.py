@@ -17,6 +17,7 @@ from studies.results.declaration import Declaration
 from studies.results.trials import TunedStudy
 from studies.task import StageError
 from studies.tracking.runs import RunStore
+from studies.tracking.sending import begin_sending
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
 from studies.tuning.forked_worker import ForkedWorker
@@ -163,6 +164,7 @@ def tune(
     """
     with storage_of(paths) as storage:
         runs = RunStore(paths)
+        begin_sending(paths)
         sizes: dict[int, _Size] = {}
         for spec in specs:
             planned = 1 if spec.is_baseline else n_trials

@@ -27,6 +27,7 @@ from studies.results.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
 from studies.tracking.origin import environment
 from studies.tracking.runs import SURROGATE, RunStore
+from studies.tracking.sending import begin_sending, runs_sent
 from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
@@ -222,7 +223,10 @@ def main() -> int:
     parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
     parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
     chosen = parser.parse_args()
-    return run_studies(None, chosen.studies, chosen.until)
+    with runs_sent(lambda line: print(line, file=sys.stderr)):
+        paths = find_project(None)
+        begin_sending(paths)
+        return run_studies(paths, chosen.studies, chosen.until)
 
 
 if __name__ == "__main__":
