@@ -79,6 +79,11 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
         if without:
             raise StageError(f"{ended}; n_train = {', '.join(map(str, without))} has no complete trial yet")
         task.console.say(ended)
+    if without and any(one.gone for one in tuned if one.best is None):
+        raise InputError(
+            f"no trial of n_train = {without[0]} can be used: their runs were deleted in MLflow; restore "
+            "one (mlflow runs restore), or give more --trials"
+        )
     if without:
         raise InputError(
             f"no trial of n_train = {without[0]} was completed; `studies status` counts them, "

@@ -46,6 +46,7 @@ class Outbox:
     def __init__(self, paths: ProjectPaths, server: Server, warn: Callable[[str], None]) -> None:
         self._paths, self._server, self._warn = paths, server, warn
         self._said: set[str] = set()
+        self._checked: set[str] = set()
         self._own = connect(paths.tracking_uri)
         self._there = mlflow.MlflowClient(server.uri, server.registry)
         self._sent = SentRuns.read(paths, server)
@@ -156,9 +157,9 @@ class Outbox:
 
     def _send(self, label: str, run: entities.Run, content: dict[str, Any]) -> None:
         run_id, there = run.info.run_id, self._there
-        noted = self._sent.runs.setdefault(run_id, {})
+        noted, experiment = self._sent.runs.setdefault(run_id, {}), self._experiment(label)
         if "id" not in noted:
-            noted["id"] = self._found_or_made(label, run, content)
+            noted["id"] = self._found_or_made(experiment, run, content)
             self._sent.write(self._paths, self._server)
         sent_id = noted["id"]
         if there.get_run(sent_id).info.lifecycle_stage == "deleted":
@@ -189,9 +190,8 @@ class Outbox:
             there.set_terminated(sent_id, content["status"], content["end"])
         noted |= {"content": content["digest"], "tags": [*content["tags"]], "status": content["status"]}
 
-    def _found_or_made(self, label: str, run: entities.Run, content: dict[str, Any]) -> str:
+    def _found_or_made(self, experiment: str, run: entities.Run, content: dict[str, Any]) -> str:
         """Return the id of a run on the server; it is made there unless a killed command has."""
-        experiment = self._experiment(label)
         known = self._there.search_runs(
             [experiment], f"tags.`{RUN}` = '{run.info.run_id}'", run_view_type=entities.ViewType.ALL
         )
@@ -202,10 +202,15 @@ class Outbox:
         return str(made.info.run_id)
 
     def _experiment(self, label: str) -> str:
-        if label not in self._sent.experiments:
-            given = self._server.experiment
+        if label not in self._checked:
+            given, known = self._server.experiment, self._sent.experiments.get(label)
             name = f"{given}{label}" if given.endswith("/") or not given else given
+            if known and self._there.get_experiment(known).lifecycle_stage == "deleted":
+                self._say(
+                    f"experiment {name} was deleted on {self._server.uri}: restored, for runs are sent there"
+                )
             self._sent.experiments[label] = own_experiment(self._there, name, self._paths.identity)
+            self._checked.add(label)
         return self._sent.experiments[label]
 
     def _new_points(self, run_id: str, key: str) -> list[entities.Metric]:
@@ -224,7 +229,7 @@ class Outbox:
         if version is None or not sent_id or noted.get("run") == run_id:
             return
         try:
-            name = noted.get("name") or own_model(self._there, model.name, self._paths.identity)
+            name = own_model(self._there, model.name, self._paths.identity)
             known = self._there.search_model_versions(f"name = '{name}' and run_id = '{sent_id}'")
             number = known[0].version if known else self._registered(name, version, sent_id)
             self._there.set_registered_model_alias(name, ALIAS, str(number))

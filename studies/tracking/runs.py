@@ -136,6 +136,10 @@ class RunStore:
                 raise
             return False
 
+    def has(self, run_id: str, name: str) -> bool:
+        """Whether a run has an artifact of a name."""
+        return any(one.path == name for one in self.client.list_artifacts(run_id))
+
     def log(
         self,
         run_id: str,

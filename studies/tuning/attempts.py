@@ -26,6 +26,8 @@ MAX_RETRIES = 5
 RUN_ID, OWNER = "mlflow_run_id", "owner"
 DECLARATION, PLANNED, PROVENANCE, CLOSED = "declaration", "n_trials", "provenance", "closed"
 """Attributes of a study; `closed` says how many trials it had when its best surrogate was registered."""
+GONE = "gone"
+"""Attribute of a study: runs in MLflow that cannot be recommended, as their owner deleted them."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
 _SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile

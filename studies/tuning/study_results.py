@@ -29,6 +29,7 @@ def read_study(study: optuna.Study) -> TunedStudy:
         n_planned=int(attrs.get(attempts.PLANNED, 0)),
         trials=tuple(map(_view, attempts.places(study.get_trials(deepcopy=False)))),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
+        gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
     )
 
 

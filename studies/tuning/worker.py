@@ -209,8 +209,10 @@ def run_studies(paths: ProjectPaths | None, names: Sequence[str], until_s: float
     """
     try:
         with working():
+            project = paths or find_project(None)
+            begin_sending(project)
             for name in names:
-                Worker(paths or find_project(None), name).run(until_s=until_s)
+                Worker(project, name).run(until_s=until_s)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -224,9 +226,7 @@ def main() -> int:
     parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
     chosen = parser.parse_args()
     with runs_sent(lambda line: print(line, file=sys.stderr)):
-        paths = find_project(None)
-        begin_sending(paths)
-        return run_studies(paths, chosen.studies, chosen.until)
+        return run_studies(None, chosen.studies, chosen.until)
 
 
 if __name__ == "__main__":
