@@ -27,6 +27,7 @@ from simulation.foreign_text import escaped, shortened
 from simulation.pool.safe_start import start_safely
 from studies.commands import options
 from studies.words.console import Console
+from studies.words.quiet_loggers import working
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
@@ -63,6 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     if argv is None:
         start_safely()
+        os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
     arguments = list(sys.argv[1:] if argv is None else argv)
     _make_writable()
     console = Console(as_json="--json" in arguments)
@@ -74,7 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             from studies.command_folder import give_temporary_folder
 
             give_temporary_folder()
-        return int(command_module(chosen.command).run(chosen, console))
+        with working():
+            return int(command_module(chosen.command).run(chosen, console))
     except SystemExit as done:  # help, version
         return int(done.code or 0)
     except (Exception, KeyboardInterrupt) as error:

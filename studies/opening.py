@@ -31,7 +31,7 @@ def open_task(verb: str, given: Mapping[str, Any], console: Console, typed: str)
     """
     from studies.profile import load_profile
 
-    paths, is_dry = find_project(given.get("storage")), bool(given.get("dry_run"))
+    paths, is_dry = find_project(given.get("storage"), given.get("tracking")), bool(given.get("dry_run"))
     profile, file = load_profile(str(given["profile"])), find_case(paths, str(given["case"]))
     changed = _changed(profile, verb, given)
     # Heavy imports wait until the keywords are known to be good.
@@ -60,7 +60,7 @@ def open_task(verb: str, given: Mapping[str, Any], console: Console, typed: str)
     refuse_other_case(task)
     if is_dry:
         return task
-    mark_project(paths.root, console)
+    mark_project(paths, console)
     if paths.storage is not None and verb != "check":
         from studies.tuning.storage import open_storage
 

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from simulation.foreign_text import has_control, quoted, shortened
 from simulation.whole_file import whole_file
 from simulation.write_gate import check_database, guard_project
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
+from studies.server import Server, choose_server, give_identity, settings
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
 from studies.words.console import Console
 
@@ -28,14 +29,25 @@ class ProjectPaths:
     Args:
         root: folder that holds `fmus/`, `data/` and `mlruns/`.
         storage: PostgreSQL URL of Optuna's and MLflow's stores; None for files below the root.
+        server: the MLflow server that runs are sent to; None for the project's own store alone.
     """
 
     root: Path
     storage: str | None = None
+    server: Server | None = None
 
     def __post_init__(self) -> None:
         # Whoever names a project writes in it: no link leads out of it from now on.
         guard_project(self.root)
+
+    @property
+    def identity(self) -> str:
+        """What tells the project from others of its name where they share a database or a server.
+
+        A copy or a clone keeps it. It is empty where nothing is shared, and before the first command.
+        """
+        is_shared = self.storage is not None or self.server is not None
+        return str(settings(self.root / MARKER).get("project", "")) if is_shared else ""
 
     @property
     def fmus(self) -> Path:
@@ -157,16 +169,17 @@ def size_name(n_train: int) -> str:
     return f"n{n_train:04d}"
 
 
-def find_project(storage: str | None) -> ProjectPaths:
+def find_project(storage: str | None, tracking: str | None = None) -> ProjectPaths:
     """Find the project: the nearest folder with a marker, from the working folder upwards.
 
     Where there is none, it is the working folder. `$STUDIES_ROOT` names another folder to begin at.
 
     Args:
         storage: PostgreSQL URL; None takes `$STUDIES_STORAGE`, and files where that is not set either.
+        tracking: URL of an MLflow server, or "local"; None takes `$MLFLOW_TRACKING_URI`, then the project's.
 
     Raises:
-        InputError: `$STUDIES_ROOT` is set and is no folder, or the storage is no URL of a database.
+        InputError: `$STUDIES_ROOT` is set and is no folder, or an address is none or not allowed.
     """
     declared = os.environ.get(ROOT_VARIABLE)
     begin = Path(declared).expanduser() if declared else Path.cwd()
@@ -175,7 +188,8 @@ def find_project(storage: str | None) -> ProjectPaths:
     begin = begin.resolve()
     root = next((folder for folder in (begin, *begin.parents) if (folder / MARKER).is_file()), begin)
     url = storage or os.environ.get(STORAGE_VARIABLE)
-    return ProjectPaths(root, read_storage(url) if url else None)
+    alone = ProjectPaths(root, read_storage(url) if url else None)
+    return replace(alone, server=choose_server(tracking, root / MARKER, alone.tracking_uri))
 
 
 def find_case(paths: ProjectPaths, case: str) -> Path:
@@ -257,20 +271,27 @@ def opening(paths: ProjectPaths, program: str, file: Path) -> Iterator[None]:
         ) from None
 
 
-def mark_project(root: Path, console: Console) -> None:
-    """Make a folder a project and name it; a project stays as it is.
+def mark_project(paths: ProjectPaths, console: Console) -> None:
+    """Make a folder a project and name it; one that shares a database or a server gets an identity.
 
     Raises:
         MachineError: the folder cannot be written.
     """
+    root, is_shared = paths.root, paths.storage is not None or paths.server is not None
     file = root / MARKER
-    if file.is_file():
+    if file.is_file() and (paths.identity or not is_shared):
         return
+    is_new = not file.is_file()
     try:
-        with whole_file(file) as stream:
-            stream.write(TEXT.encode())
+        if is_new:
+            with whole_file(file) as stream:
+                stream.write(TEXT.encode())
+        if is_shared:
+            with FileLock(paths.mlruns / ".identity.lock"):
+                give_identity(file)
     except OSError as error:
         raise MachineError(
             f"{root}: the project's folder cannot be written ({error.strerror}); go to another folder"
         ) from None
-    console.say(f"project: {root} ({MARKER} made)")
+    if is_new:
+        console.say(f"project: {root} ({MARKER} made)")

@@ -11,11 +11,13 @@ from simulation.errors import InputError
 from studies.blocks import Block, Column, Table, number
 from studies.paths import ProjectPaths
 from studies.reporting.tables import tuning_table
+from studies.results.declaration import ALIAS
 from studies.results.outcome import Outcome, read_outcome
 from studies.results.provenance import file_digest
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, TunedSize
 from studies.results.trials import TunedStudy
+from studies.tracking.sent_runs import sent_runs
 from studies.tuning.study_results import latest_studies, read_studies
 from studies.words.console import format_seconds
 from studies.words.wording import (
@@ -155,12 +157,19 @@ def best_blocks(project: Project) -> list[Block]:
 
 def best_document(project: Project) -> dict[str, Any]:
     """Return what a program reads: where Optuna and MLflow keep everything, and the best of each size."""
-    best = [one.summary(project.studies) for found in best_by_label(project).values() for one in found]
+    best = [one for found in best_by_label(project).values() for one in found]
+    stores = [_store_of(project, one) for one in best]
+    sizes = [asdict(one.summary(project.studies)) for one in best]
+    # Where all of them are, if they are in one place.
+    one_place = stores[0].uri if len({one.uri for one in stores}) == 1 else project.paths.tracking_uri
     return {
         "command": "best",
         "optuna_storage": project.paths.optuna_url,
-        "mlflow_tracking_uri": project.paths.tracking_uri,
-        "sizes": [asdict(one) for one in best],
+        "mlflow_tracking_uri": one_place,
+        "sizes": [
+            {**size, "run_id": store.run_id, "model_uri": store.model_uri, "tracking_uri": store.uri}
+            for size, store in zip(sizes, stores, strict=True)
+        ],
         "calibrations": [one.to_dict() for one in best_calibrations(project)],
     }
 
@@ -176,14 +185,33 @@ def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
 
 
 def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
-    spec = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf).spec
-    storage, tracking = project.paths.optuna_url, project.paths.tracking_uri
+    best_study = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf)
+    spec = best_study.spec
+    storage, store = project.paths.optuna_url, _store_of(project, best_study)
     return [
         "In Python:",
         f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
-        f'  mlflow.set_tracking_uri("{tracking}")',
-        f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
+        f'  mlflow.set_tracking_uri("{store.uri}")',
+        f'  mlflow.pyfunc.load_model("{store.model_uri}").predict(theta)',
     ]
+
+
+@dataclass(frozen=True)
+class _Store:
+    """Where the run and the model of a study's best trial are: on the server, or in the project alone."""
+
+    uri: str
+    run_id: str
+    model_uri: str
+
+
+def _store_of(project: Project, study: TunedStudy) -> _Store:
+    paths, spec, best = project.paths, study.spec, study.best
+    run_id, sent = "" if best is None else best.run_id, sent_runs(paths)
+    model = {} if sent is None else sent.models.get(spec.model_name, {})
+    if sent is None or model.get("run") != run_id or not sent.id_of(run_id):
+        return _Store(paths.tracking_uri, run_id, spec.model_uri)
+    return _Store(sent.uri, sent.id_of(run_id), f"models:/{model['name']}@{ALIAS}")
 
 
 def best_calibrations(project: Project) -> list[FinishedCalibration]:

@@ -30,6 +30,7 @@ from studies.stages.warm_start import ChooseRows, StartRows
 from studies.task import Task
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
+from studies.tracking.sent_runs import sent_runs
 from studies.tuning.trial_training import load_data, load_drive, train
 from studies.words.console import Column, Console
 
@@ -168,7 +169,9 @@ def _find(runs: RunStore, name: str) -> "Run":
 
     with suppress(MlflowException):
         if re.fullmatch(r"[0-9a-f]{32}", name):
-            return runs.client.get_run(name)
+            # Or its id on the project's server.
+            sent = sent_runs(runs.paths)
+            return runs.client.get_run((sent.run_of(name) if sent else None) or name)
         label, _, stage = name.partition("/")
         found = runs.client.get_experiment_by_name(label)
         for run in reversed(runs.find(label, {"role": "calibration"}) if found else []):

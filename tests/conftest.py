@@ -100,6 +100,12 @@ def _one_empty_store(tmp_path_factory: pytest.TempPathFactory) -> None:
     mlflow_store_for_tests.factory = tmp_path_factory
 
 
+@pytest.fixture(autouse=True)
+def _no_server_of_another_test() -> None:
+    """Forget what `mlflow.set_tracking_uri` has written into the environment, where commands look for it."""
+    os.environ.pop("MLFLOW_TRACKING_URI", None)
+
+
 @pytest.fixture(scope="session")
 def whole_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which the office was run with the profile "smoke".

@@ -5,12 +5,14 @@ that multiprocessing starts.
 """
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 _VARIABLE = "PYTHONSAFEPATH"
 _OURS = "studies"  # any text switches it on
-_SECRET = "STUDIES_STORAGE"  # the URL of a database, which may hold a password
+# The URL of a database may hold a password; of MLflow's and Databricks' variables some are one.
+_SECRET = re.compile(r"STUDIES_STORAGE|(MLFLOW_|DATABRICKS_).*(PASSWORD|TOKEN|SECRET).*")
 
 
 def start_safely() -> None:
@@ -33,10 +35,10 @@ def environment_restored() -> Iterator[None]:
 def as_for_fmus(environment: Mapping[str, str]) -> dict[str, str]:
     """Return an environment without this, as an FMU may be a Python script that imports its neighbours.
 
-    The URL of the studies' storage is none of its business either.
+    The studies' storage, passwords and tokens are none of its business either.
     """
     return {
         name: value
         for name, value in environment.items()
-        if name != _SECRET and (name, value) != (_VARIABLE, _OURS)
+        if not _SECRET.fullmatch(name) and (name, value) != (_VARIABLE, _OURS)
     }

@@ -224,6 +224,7 @@ def calibrate(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> CalibrationResult:
     """Find the parameters that fit the measurement best, as `studies calibrate`.
@@ -248,6 +249,7 @@ def calibrate(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:

@@ -117,6 +117,7 @@ def simulate(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> SimulationResult:
     """Simulate the training, validation and test sets, as `studies simulate`.
@@ -131,6 +132,7 @@ def simulate(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:
@@ -158,6 +160,7 @@ def sensitivity(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> SensitivityResult:
     """Say which parameters the outputs depend on, as `studies sensitivity`.
@@ -172,6 +175,7 @@ def sensitivity(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:
@@ -203,6 +207,7 @@ def tune(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> TuningResult:
     """Tune one surrogate per training-set size with Optuna, as `studies tune`.
@@ -221,6 +226,7 @@ def tune(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:
@@ -257,6 +263,7 @@ def run(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> RunResult:
     """Do all stages of the paper in order, as `studies run`, and skip finished ones.
@@ -277,6 +284,7 @@ def run(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:

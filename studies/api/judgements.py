@@ -105,6 +105,7 @@ def check(
     surrogate: Surrogate | None = None,
     jobs: int | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> CheckResult:
     """Examine a case before its simulations are paid for, as `studies check`.
@@ -118,6 +119,7 @@ def check(
         surrogate: Form of the surrogate; None for the profile's.
         jobs: Processes; None for the number of cores.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:
@@ -151,6 +153,7 @@ def uncertainty(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> UncertaintyResult:
     """Say how sure the calibration is, as `studies uncertainty`.
@@ -170,6 +173,7 @@ def uncertainty(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:
@@ -226,6 +230,7 @@ def predict(
     jobs: int | None = None,
     dask: str | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> PredictionResult:
     """Simulate the calibrated model with other inputs, as `studies predict`.
@@ -244,6 +249,7 @@ def predict(
         jobs: Processes; None for the number of cores.
         dask: Address of a Dask scheduler whose workers simulate; None for this machine.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:
@@ -304,6 +310,7 @@ def report(
     surrogate: Surrogate | None = None,
     jobs: int | None = None,
     storage: str | None = None,
+    tracking: str | None = None,
     console: Console | None = None,
 ) -> ReportResult:
     """Write the page of a case and a profile, as `studies report`.
@@ -316,6 +323,7 @@ def report(
         surrogate: Form of the surrogate; None for the profile's.
         jobs: Processes; None for the number of cores.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Returns:

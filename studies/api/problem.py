@@ -18,6 +18,7 @@ from simulation.fmi.description import read_description
 from simulation.foreign_text import not_a_formula, toml_text
 from simulation.whole_file import whole_file
 from studies.paths import find_project, folder_name, mark_project
+from studies.server import LOCAL
 from studies.words.console import Console
 
 if TYPE_CHECKING:
@@ -63,8 +64,8 @@ class Problem:
     @cached_property
     def path(self) -> Path:
         """The case file, written into the project of the working folder."""
-        paths = find_project(None)
-        mark_project(paths.root, Console(quiet=True))
+        paths = find_project(None, LOCAL)
+        mark_project(paths, Console(quiet=True))
         return self.save(paths.mlruns / "problems" / folder_name(self._name))
 
     @cached_property

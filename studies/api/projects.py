@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from studies.api.verb import shown, verb
 from studies.paths import find_case, find_project
+from studies.server import LOCAL
 from studies.words.console import Console
 
 if TYPE_CHECKING:
@@ -84,40 +85,49 @@ class ReproductionResult:
 
 
 @verb
-def best(which: str | None = None, *, storage: str | None = None) -> BestResult:
+def best(which: str | None = None, *, storage: str | None = None, tracking: str | None = None) -> BestResult:
     """Return the best surrogates and calibrations of a project, as `studies best`.
 
     Args:
         which: A case, a label or a pattern of labels; None for everything.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
 
     Raises:
         InputError: Nothing is called so.
     """
     from studies.project import read_project
 
-    return BestResult(read_project(find_project(storage), which))
+    return BestResult(read_project(find_project(storage, tracking), which))
 
 
 @verb
-def status(which: str | None = None, *, storage: str | None = None) -> ProjectResult:
+def status(
+    which: str | None = None, *, storage: str | None = None, tracking: str | None = None
+) -> ProjectResult:
     """Return what a project holds, finished or not, as `studies status`.
 
     Args:
         which: A case, a label or a pattern of labels; None for everything.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
 
     Raises:
         InputError: Nothing is called so.
     """
     from studies.project import read_project
 
-    return ProjectResult(read_project(find_project(storage), which))
+    return ProjectResult(read_project(find_project(storage, tracking), which))
 
 
 @verb
 def reproduce(
-    run: str, *, jobs: int | None = None, storage: str | None = None, console: Console | None = None
+    run: str,
+    *,
+    jobs: int | None = None,
+    storage: str | None = None,
+    tracking: str | None = None,
+    console: Console | None = None,
 ) -> ReproductionResult:
     """Repeat a recorded result and compare every number, as `studies reproduce`.
 
@@ -125,6 +135,7 @@ def reproduce(
         run: Id of an MLflow run, or the name of a calibration.
         jobs: Processes; None for the number of cores.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
         console: Shows progress; None for standard error.
 
     Raises:
@@ -133,7 +144,7 @@ def reproduce(
     from simulation.pool.pool_model import available_cores
     from studies.reproduction import reproduce as repeated
 
-    paths = find_project(storage)
+    paths = find_project(storage, tracking)
     run_id, rows = repeated(paths, run, shown(console), n_jobs=jobs or available_cores())
     return ReproductionResult(run_id, tuple(rows))
 
@@ -149,4 +160,4 @@ def load_case(case: str | Path = "office") -> "Case":
     """
     from simulation.case import load_case as read_case
 
-    return read_case(find_case(find_project(None), str(case)))
+    return read_case(find_case(find_project(None, LOCAL), str(case)))

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 from simulation.errors import ReuseError
 from studies.keywords import check, typed
 from studies.opening import open_task
-from studies.tracking.guest import settings_of_mlflow_kept
+from studies.tracking.sending import runs_sent
 from studies.words.console import Console
+from studies.words.quiet_loggers import working
 
 if TYPE_CHECKING:
     from studies.task import Task
@@ -51,8 +52,7 @@ def verb(function: Callable[P, T]) -> Callable[P, T]:
             raise TypeError(f"{name}() got an unexpected keyword argument {unknown!r}{hint}")
         given = signature.bind(*args, **kwargs).arguments
         check(name, given)
-        with settings_of_mlflow_kept():
-            return begun_anew(partial(function, *args, **kwargs), given.get("console"))
+        return begun_anew(partial(function, *args, **kwargs), given.get("console"))
 
     return checked
 
@@ -64,11 +64,12 @@ def begun_anew(work: Callable[[], T], console: Console | None) -> T:
         work: What is done.
         console: Shows a warning before it begins anew.
     """
-    try:
-        return work()
-    except ReuseError as error:
-        shown(console).warn(f"{error}; the command begins anew")
-        return work()
+    with working(), runs_sent(shown(console).warn):
+        try:
+            return work()
+        except ReuseError as error:
+            shown(console).warn(f"{error}; the command begins anew")
+            return work()
 
 
 def shown(console: Console | None) -> Console:

@@ -49,7 +49,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         raise InputError("--n-train chooses the surrogate of --write onnx; write that, or leave it out")
     if chosen.experiment is not None and (chosen.write or ["onnx"])[0] == "onnx":
         raise InputError("--experiment chooses the values of --write; write them, or leave it out")
-    result = best(chosen.which, storage=chosen.storage)
+    result = best(chosen.which, storage=chosen.storage, tracking=chosen.tracking)
     project, document = result.project, result.numbers
     if chosen.write:
         from studies.exports.written_file import write_best

@@ -33,9 +33,9 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.recording_import import import_recording
 
-    paths = find_project(chosen.storage)
+    paths = find_project(chosen.storage, chosen.tracking)
     report = import_recording(Path(chosen.file).expanduser(), paths.data / "office-recorded")
-    mark_project(paths.root, console)
+    mark_project(paths, console)
     for file in adopt_cases(paths.root, "office-recorded"):
         console.say(f"{paths.show(file)}: copied from the embedded case, because it reads this recording")
     files = [paths.show(file) for file in report.files]

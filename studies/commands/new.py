@@ -51,7 +51,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.new.case_folder import list_variables, new_case
 
-    paths = find_project(chosen.storage)
+    paths = find_project(chosen.storage, chosen.tracking)
     if chosen.list:
         list_variables(chosen, console)
     else:

@@ -118,6 +118,12 @@ EVERYWHERE = (
         help="PostgreSQL database of Optuna and MLflow, e.g. postgresql://user@host/database; "
         "default: $STUDIES_STORAGE, else files in mlruns/",
     ),
+    Option(
+        "--tracking",
+        metavar="URL",
+        help="MLflow server that runs are also sent to, or `local` for none; default: $MLFLOW_TRACKING_URI, "
+        "else `tracking` in studies.toml",
+    ),
     Option("--json", action="store_true", help="write one JSON document to stdout, all else to stderr"),
     Option("-q", "--quiet", action="store_true", help="write only results and errors"),
 )

@@ -134,7 +134,7 @@ def _drawn(chosen: argparse.Namespace, items: set[str], console: Console) -> int
     beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))
     if others := [flag for flag, is_given in beside if is_given]:
         raise InputError(f"--from draws an item and does nothing else; remove {listed(others)}")
-    (item,), source, paths = items, chosen.source, find_project(chosen.storage)
+    (item,), source, paths = items, chosen.source, find_project(chosen.storage, chosen.tracking)
     module = module_of(item)
     origin, sizes = read_sizes(source, module.SIZE)
     if chosen.case != origin.case:

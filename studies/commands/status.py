@@ -25,7 +25,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.api.projects import status
     from studies.project import status_blocks, status_document
 
-    project = status(chosen.which, storage=chosen.storage).project
+    project = status(chosen.which, storage=chosen.storage, tracking=chosen.tracking).project
     console.show(status_blocks(project))
     console.document(status_document(project))
     return 0

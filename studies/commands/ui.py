@@ -46,7 +46,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     # MLflow's server, uvicorn, looks for modules in the working folder first; so in one of ours.
     os.environ.setdefault("UVICORN_APP_DIR", str(Path(__file__).resolve().parents[2]))
     return open_ui(
-        find_project(chosen.storage),
+        find_project(chosen.storage, chosen.tracking),
         console,
         label=chosen.label,
         port=chosen.port,

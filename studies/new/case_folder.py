@@ -151,7 +151,7 @@ _NUMBERS = [Column(word, True) for word in ("start", "min", "max")]
 def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> None:
     """Write a case and say what comes next."""
     made = make_case(options, paths)
-    mark_project(paths.root, console)
+    mark_project(paths, console)
     case, name = made.case, paths.show(made.files[0])
     for file in made.files:
         console.result(f"wrote {paths.show(file)}")

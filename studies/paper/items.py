@@ -1,12 +1,13 @@
 """The tables and figures that are repeated: by name, what each needs, how one is made, kept and shown."""
 
 import importlib
+import logging
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.paper import ITEMS
 from studies.paper.plan import Plan
 from studies.paths import size_name
@@ -22,6 +23,9 @@ RESULT = "result.json"
 SCHEMA = 1
 Size = TypeVar("Size")
 Cell = float | int | str | None
+
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,12 @@ class Shown:
         write_json(folder / RESULT, {"command": command, "title": self.title, "table": table, **self.more})
         if self.figure is None:
             return [folder / RESULT]
-        return [folder / RESULT, write_picture(self.figure, folder / self.picture, footnote=self.footnote)]
+        try:
+            picture = write_picture(self.figure, folder / self.picture, footnote=self.footnote)
+        except MachineError as error:
+            _LOG.warning("%s: %s; its numbers are complete", self.picture, error)
+            return [folder / RESULT]
+        return [folder / RESULT, picture]
 
 
 def module_of(item: str) -> Any:

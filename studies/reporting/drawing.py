@@ -9,6 +9,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import resource
+import subprocess
+import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from simulation.arrays import FloatArray
 from simulation.case import KnownError
+from simulation.errors import MachineError
 from simulation.time_unit import TimeUnit, unit_for
 from simulation.whole_file import whole_file
 from studies.words.wording import significant
@@ -304,6 +308,27 @@ def _position(name: str, axis: Axis) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def drawn(kind: str, specification: str = "") -> bytes:
+    """Draw in a process of its own, which may die of it.
+
+    Args:
+        kind: "svg" or "png"; "library" for the programs that draw in a browser.
+        specification: In Vega-Lite.
+
+    Raises:
+        MachineError: The process fails.
+    """
+    command = [sys.executable, "-P", "-m", "studies.reporting.drawing_process", kind, f"{PIXELS_PER_UNIT}"]
+    done = subprocess.run(command, input=specification.encode(), capture_output=True, check=False)
+    if done.returncode == 0:
+        return done.stdout
+    said = done.stderr.decode(errors="replace").strip().splitlines()
+    how = f"signal {-done.returncode}" if done.returncode < 0 else (said or ["no message"])[-1]
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    remedy = "" if limit == resource.RLIM_INFINITY else "; its memory is limited: ulimit -v unlimited"
+    raise MachineError(f"a picture cannot be drawn ({shortened(how, 200)}){remedy}")
+
+
 def write_picture(figure: Figure, path: Path, *, footnote: str = "") -> Path:
     """Draw a figure into a file, which is replaced in one step.
 
@@ -314,18 +339,16 @@ def write_picture(figure: Figure, path: Path, *, footnote: str = "") -> Path:
 
     Returns:
         The path.
-    """
-    from vl_convert import vegalite_to_png, vegalite_to_svg
 
+    Raises:
+        MachineError: The library that draws fails here, as where memory is limited.
+    """
     title = {
         "text": textwrap.wrap(figure.title, 90), "subtitle": textwrap.wrap(footnote, 120, max_lines=2),
         "fontWeight": "bold", "fontSize": 13, "subtitleColor": MUTED, "subtitleFontSize": 10, "offset": 12,
     }  # fmt: skip
     specification = json.dumps({**figure.specification(), "title": title})
-    if path.suffix == ".svg":
-        content = vegalite_to_svg(specification).encode()
-    else:
-        content = vegalite_to_png(specification, scale=PIXELS_PER_UNIT)
+    content = drawn(path.suffix.removeprefix("."), specification)
     with whole_file(path) as file:
         file.write(content)
     return path

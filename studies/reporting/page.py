@@ -18,7 +18,7 @@ from simulation.case import Case
 from simulation.whole_file import whole_file
 from studies.blocks import Table
 from studies.calibration.sobol import SobolIndices
-from studies.reporting.drawing import Figure
+from studies.reporting.drawing import Figure, drawn
 from studies.reporting.figures_calibration import (
     band_figure,
     calibration_figure,
@@ -106,11 +106,7 @@ def _packed(specification: Mapping[str, Any]) -> str:
 @cache
 def _library() -> str:
     """Return the programs that draw, about 0.9 MB; putting them together takes two seconds."""
-    from vl_convert import javascript_bundle
-
-    # The stub demands an argument that the function does not need.
-    library: str = javascript_bundle()  # pyrefly: ignore[missing-argument]
-    return library
+    return drawn("library").decode()
 
 
 @dataclass(frozen=True)

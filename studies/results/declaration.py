@@ -62,6 +62,7 @@ class Declaration:
         max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
         is_baseline: whether it is the PCA + GP that is fitted for comparison.
         note: shown where the numbers are shown.
+        project: identity of the project whose study it is in a database that others share; empty elsewhere.
     """
 
     __pydantic_config__ = STRICT
@@ -90,17 +91,19 @@ class Declaration:
     max_trial_s: float | None = None
     is_baseline: bool = False
     note: str = ""
+    project: str = ""
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 over all that decides the trials and their errors."""
         # What changes no trial is left out: another label or place of the files must not begin a new study.
         idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
-        # Studies of before the decoder could be searched keep their names.
+        # Studies of before decoders were searched, and of projects that share nothing, keep their names.
+        added = ("forms", "project")
         decisive = {
             name: value
             for name, value in self.to_dict().items()
-            if name not in idle and (name != "forms" or value)
+            if name not in idle and (name not in added or value)
         }
         return digest_of(json.dumps(decisive, sort_keys=True))
 
@@ -123,7 +126,7 @@ class Declaration:
     @property
     def model_name(self) -> str:
         """Name of the best surrogate in MLflow's registry."""
-        return f"{self.label}-{size_name(self.n_train)}"
+        return f"{self.label}-{size_name(self.n_train)}" + (f"-{self.project[:6]}" if self.project else "")
 
     @property
     def model_uri(self) -> str:

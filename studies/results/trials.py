@@ -54,12 +54,14 @@ class TunedStudy:
         n_planned: trials it shall have.
         trials: its places, in order.
         n_closed: trials it had when its best surrogate was registered; 0 before.
+        gone: runs that cannot be recommended: deleted by their owner, or second to one and without weights.
     """
 
     spec: Declaration
     n_planned: int
     trials: tuple[TrialView, ...]
     n_closed: int = 0
+    gone: frozenset[str] = frozenset()
 
     def count(self, state: str) -> int:
         """Return the number of trials in a state."""
@@ -75,6 +77,7 @@ class TunedStudy:
         """The completed trial of least validation error among those that were trained here."""
         # Trials that users add through Optuna have no run, and so no weights to register.
         ours = [trial for trial in self.trials if trial.state == "complete" and trial.run_id]
+        ours = [trial for trial in ours if trial.run_id not in self.gone]
         # Of equal errors the earlier trial, so that reading again finds the same one.
         return min(ours, key=lambda trial: (trial.value, trial.number), default=None)
 

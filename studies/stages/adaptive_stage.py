@@ -99,7 +99,7 @@ def adaptive_stage(
         any_end = replace(settings, max_calls=1, target_mse=None)
         question = inputs | {"settings": asdict(any_end)}
         files = [stage.file.with_name(f"{STAGE}-rows.npz")]
-        start = WarmStart(files[0], digest_of(question), best_and_far, anew=again and stage.file.is_file())
+        start = WarmStart(files[0], digest_of(question), best_and_far, anew=again and stage.is_anew)
     return stage.once(
         lambda: calibrate_adaptively(task, settings, start, state_equations=learns),
         again=again,

@@ -24,6 +24,7 @@ from studies.stages.simulate_stage import set_files
 from studies.task import StageError, Task
 from studies.tuning.attempts import places
 from studies.tuning.sampler import make_pruner, make_sampler
+from studies.tuning.study_results import of_project
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.words.wording import count, difference_unit, quantity
 
@@ -101,6 +102,11 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
         if without:
             raise StageError(f"{ended}; n_train = {', '.join(map(str, without))} has no complete trial yet")
         task.console.say(ended)
+    if without and any(one.gone for one in tuned if one.best is None):
+        raise InputError(
+            f"no trial of n_train = {without[0]} can be used: their runs were deleted in MLflow; restore "
+            "one (mlflow runs restore), or give more --trials"
+        )
     if without:
         raise InputError(
             f"no trial of n_train = {without[0]} was completed; `studies status` counts them, "
@@ -175,7 +181,7 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
                 is_baseline=True,
             )
             found.append(baseline)
-    return found
+    return of_project(found, task.paths)
 
 
 def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:

@@ -65,14 +65,15 @@ class Stage(Generic[T]):
 
         Args:
             work: does the work and returns the result.
-            again: do it though it is finished; until it is done again it counts as unfinished.
+            again: do it though it is finished; the new result replaces the old one when it is whole.
             files: must exist as the work leaves them for the stage to count as finished.
-            log: writes the run in MLflow.
+            log: writes the run in MLflow, once the result is stored; if it fails, the next command does.
             is_kept: whether it counts as finished with a result.
         """
         task, began = self.task, time.perf_counter()
         before = self._finished(again=again)
         if before is not None:
+            self._log(log, before)
             return before
         with task.console.stage(self.name, self.what):
             result = work()
@@ -88,11 +89,14 @@ class Stage(Generic[T]):
             )
             if not is_kept(result):
                 return replace(outcome, file=None)
+            new = self.file.with_suffix(".new.npz")
             if arrays := arrays_of(result):
                 files = [*files, self.file.with_suffix(".npz")]
-                write_arrays(files[-1], arrays)
-            if log is not None:
-                log(task, outcome)
+                write_arrays(new, arrays)
+            # From here on the former result is none: the two files of a result belong together.
+            self.file.unlink(missing_ok=True)
+            if arrays:
+                new.replace(files[-1])
             manifest = {
                 "stage": self.name,
                 "digest": self.digest,
@@ -106,15 +110,40 @@ class Stage(Generic[T]):
                 "provenance": outcome.provenance,
                 "result": plain(result),
             }
-            # Last, as it says that the stage is finished.
+            if log is not None:
+                self._unlogged.touch()
+            # It says that the stage is finished.
             write_json(self.file, manifest)
+            self._begun_again.unlink(missing_ok=True)
+            self._log(log, outcome)
         return outcome
+
+    @property
+    def is_anew(self) -> bool:
+        """Whether doing it again would begin from nothing: it is finished, and was not begun again before."""
+        return self.file.is_file() and not self._begun_again.is_file()
+
+    @property
+    def _begun_again(self) -> Path:
+        return self.file.with_suffix(".again")
+
+    @property
+    def _unlogged(self) -> Path:
+        return self.file.with_suffix(".unlogged")
+
+    def _log(self, log: Callable[[Task, Outcome[T]], None] | None, outcome: Outcome[T]) -> None:
+        """Write the run in MLflow, unless that was done."""
+        if log is not None and self._unlogged.is_file():
+            log(self.task, outcome)
+            self._unlogged.unlink(missing_ok=True)
 
     def _finished(self, *, again: bool) -> Outcome[T] | None:
         """Return what the stage came to before, and say so; None where it has to be done."""
         check_written(self.file)
         if again:
-            self.file.unlink(missing_ok=True)
+            if self.file.is_file():
+                self._begun_again.touch()
+            return None
         root = self.task.paths.root
         try:
             manifest = read_json(self.file) or {}

@@ -9,6 +9,7 @@ import pandas as pd
 
 from simulation.arrays import FloatArray
 from simulation.case import of_experiment
+from simulation.errors import MachineError
 from simulation.foreign_text import not_a_formula
 from simulation.other_inputs import settings_with_inputs
 from simulation.whole_file import whole_file
@@ -92,10 +93,13 @@ def predict_stage(
             columns = {not_a_formula(name): values for name, values in found.columns()}
             stream.write(pd.DataFrame(columns).to_csv(index=False).encode())
         figure = prediction_figure(found, None if recording is not None else case.measurement)
-        write_picture(figure, picture, footnote=f"{task.label}, {source}")
+        try:
+            write_picture(figure, picture, footnote=f"{task.label}, {source}")
+        except MachineError as error:
+            task.console.warn(f"{picture.name}: {error}; the table is complete without it")
         return found
 
-    return stage.once(predict, files=[table, picture], log=log_prediction)
+    return stage.once(predict, files=[table], log=log_prediction)
 
 
 def _with_bands(noise: FloatArray, found: Prediction, known: Uncertainty, y: FloatArray) -> Prediction:

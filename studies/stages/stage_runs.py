@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from simulation.errors import MachineError
 from studies.calibration.sobol import SobolIndices
 from studies.reporting.drawing import Figure, write_picture
 from studies.reporting.figures_calibration import (
@@ -118,7 +119,7 @@ def log_prediction(task: Task, outcome: Outcome[Prediction]) -> None:
         params={"inputs": found.inputs},
         metrics={"sample/n": found.n_sample},
         tags={"calibration": found.calibration},
-        images=[table.with_suffix(".png")],
+        images=[one for one in [table.with_suffix(".png")] if one.is_file()],
         artifacts=[table],
     )
 
@@ -146,10 +147,13 @@ def _log(
     arrays = task.results / f"{outcome.stage}.npz"
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        drawn = [
-            write_picture(figure, Path(scratch) / f"{picture}.svg", footnote=task.label)
-            for picture, figure in (pictures or {}).items()
-        ]
+        drawn = list[Path]()
+        for picture, figure in (pictures or {}).items():
+            try:
+                file = Path(scratch) / f"{picture}.svg"
+                drawn.append(write_picture(figure, file, footnote=task.label))
+            except MachineError as error:
+                task.console.warn(f"{outcome.stage}: {picture}: {error}; the result is complete without it")
         log_stage(
             task,
             kind,

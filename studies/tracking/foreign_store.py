@@ -36,7 +36,10 @@ _PLACES = (
     (
         "model_versions",
         "a model version",
-        _outside("model_versions", "source", "and source not like 'models:/%'"),
+        # What MLflow writes in place of the source of a version that was deleted.
+        _outside(
+            "model_versions", "source", "and source not like 'models:/%' and source <> 'REDACTED-SOURCE-PATH'"
+        ),
     ),
     ("model_versions", "a model version", _outside("model_versions", "storage_location")),
     ("webhooks", "a webhook", "select url from webhooks limit 1"),

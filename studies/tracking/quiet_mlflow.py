@@ -11,39 +11,44 @@ from pathlib import Path
 from simulation.errors import InputError, MachineError
 from simulation.foreign_text import shortened
 from simulation.pool.safe_start import environment_restored
+from studies.words.quiet_loggers import hush
 
-os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow is imported
-os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars are the command line's
-with warnings.catch_warnings():
+with environment_restored(), warnings.catch_warnings():
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow is imported
     warnings.simplefilter("ignore")
     import mlflow
     from mlflow import entities
+    from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
+    from mlflow.store.artifact.local_artifact_repo import LocalArtifactRepository
 
-for _name in ("alembic", "mlflow"):  # after the import, which sets levels of its own
-    logging.getLogger(_name).setLevel(logging.WARNING)
+for _name in ("alembic.runtime.migration", "alembic.runtime.plugins", "mlflow"):
+    hush(_name, logging.WARNING)
 # It prints tracebacks of errors that it raises as well; who catches them says one line.
-logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
+hush("mlflow.store.db.utils", logging.CRITICAL)
 # MLflow writes rows that a server may already have, and goes on where it refuses them.
-logging.getLogger("psycopg").setLevel(logging.ERROR)
+hush("psycopg", logging.ERROR)
 
-__all__ = ["connect", "entities", "make_database", "mlflow", "storing_files"]
+__all__ = [
+    "LocalArtifactRepository",
+    "connect",
+    "entities",
+    "get_artifact_repository",
+    "make_database",
+    "mlflow",
+    "storing_files",
+]
 
 
 def connect(uri: str) -> mlflow.MlflowClient:
-    """Open the store at a URI for runs and models alike; an SQLite file gets its schema here (some 7 s)."""
+    """Open the store at a URI for runs and models alike; an SQLite file gets its schema here (some 7 s).
+
+    MLflow's own functions and settings are the script's that calls: what is done here goes through a client.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        use(uri)
         client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client
-
-
-def use(uri: str) -> None:
-    """Make a store that of the process: MLflow's registry, artifacts and searches know no other one."""
-    # MLflow also writes the URI into the environment, and another environment needs another fork server.
-    with environment_restored():
-        mlflow.set_tracking_uri(uri)
 
 
 def make_database(file: Path) -> None:

@@ -6,12 +6,10 @@ module that speaks to MLflow's client.
 
 import math
 import re
-import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -21,13 +19,23 @@ import pelsvae
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
-from simulation.pool.safe_start import environment_restored
 from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.results.declaration import ALIAS, Declaration
 from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow, storing_files, use
+from studies.tracking.quiet_mlflow import (
+    LocalArtifactRepository,
+    connect,
+    entities,
+    get_artifact_repository,
+    make_database,
+    mlflow,
+    storing_files,
+)
+from studies.tracking.sending import begin_sending
+from studies.tracking.shared_names import PROJECT, own_experiment
+from studies.tracking.study_tags import NOTE, TRACKING
 from studies.words.wording import difference_unit
 
 if TYPE_CHECKING:
@@ -38,7 +46,6 @@ if TYPE_CHECKING:
 
 Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
-NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 CURVE = "curve/"
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
@@ -55,7 +62,7 @@ class RunStore:
     """
 
     def __init__(self, paths: ProjectPaths) -> None:
-        self._paths = paths
+        self.paths = paths
         check_written(paths.artifacts)
         self._artifacts = paths.artifacts.resolve()
         self._artifacts.mkdir(parents=True, exist_ok=True)
@@ -68,20 +75,19 @@ class RunStore:
             self.client = connect(paths.tracking_uri)
         self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
+        self._identity = paths.identity
+        self._marks = {PROJECT: self._identity} if self._identity else {}
+        self._marks |= {TRACKING: paths.server.uri} if paths.server is not None else {}
 
     def experiment(self, label: str) -> str:
         """Return the id of a label's experiment, a new one where there is none."""
         if label not in self._experiments:
             # On a server there is no file that artifacts could lie beside: they lie in this project's folder.
             folder = folder_name(label)
-            lies_beside = self._paths.storage is None
+            lies_beside = self.paths.storage is None
             location = f"{SCHEME}:/{folder}" if lies_beside else (self._artifacts / folder).as_uri()
-            with FileLock(self._paths.mlruns / ".mlflow.lock"):
-                known = self.client.get_experiment_by_name(label)
-                found = known.experiment_id if known else self.client.create_experiment(label, location)
-                if known and known.lifecycle_stage == "deleted":
-                    self.client.restore_experiment(found)
-            self._experiments[label] = str(found)
+            with FileLock(self.paths.mlruns / ".mlflow.lock"):
+                self._experiments[label] = own_experiment(self.client, label, self._identity, location)
         return self._experiments[label]
 
     def describe(self, label: str, note: str) -> None:
@@ -94,15 +100,32 @@ class RunStore:
         wanted += [f"attributes.status = '{status}'"] if status else []
         where, order = [self.experiment(label)], ["attributes.start_time ASC"]
         query = " and ".join(wanted)
-        return list(mlflow.search_runs(where, query, order_by=order, output_format="list"))
+        found: list[Run] = []
+        page: str | None = ""
+        while page is not None:
+            part = self.client.search_runs(where, query, order_by=order, page_token=page or None)
+            # Another project may have runs in an experiment that has no owner.
+            found += [one for one in part if one.data.tags.get(PROJECT, self._identity) == self._identity]
+            page = part.token or None
+        return found
 
     def begin(self, label: str, name: str, tags: Mapping[str, Any], *, start_s: float | None = None) -> str:
         """Make a run, and return its id."""
         start = None if start_s is None else round(1000.0 * start_s)
-        said = {**self._origin, "label": label, **{key: str(value) for key, value in tags.items()}}
+        said = {
+            **self._origin,
+            **self._marks,
+            "label": label,
+            **{key: str(value) for key, value in tags.items()},
+        }
         said |= {NOTE: without_pictures(said[NOTE])} if NOTE in said else {}
         run = self.client.create_run(self.experiment(label), start_time=start, run_name=name, tags=said)
         return str(run.info.run_id)
+
+    def open_again(self, run_id: str) -> None:
+        """Open a run that has ended; from now on it is also sent to the server that the project has."""
+        self.client.update_run(run_id, status="RUNNING")
+        self.log(run_id, tags=self._marks)
 
     def is_there(self, run_id: str) -> bool:
         """Whether a run exists and was not deleted, as its owner may in MLflow."""
@@ -112,6 +135,10 @@ class RunStore:
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise
             return False
+
+    def has(self, run_id: str, name: str) -> bool:
+        """Whether a run has an artifact of a name."""
+        return any(one.path == name for one in self.client.list_artifacts(run_id))
 
     def log(
         self,
@@ -149,13 +176,19 @@ class RunStore:
             self.client.log_dict(run_id, dict(record), "provenance.json")
 
     def fetch(self, run_id: str, name: str, folder: Path) -> Path:
-        """Copy an artifact of a run into a folder.
+        """Return where an artifact of a run lies, which is a copy in a folder if it is not on this disk.
 
         Raises:
             InputError: the run has none of that name, or it is out of this machine's reach.
         """
         try:
-            return Path(self.client.download_artifacts(run_id, name, str(folder)))
+            place = self.client.get_run(run_id).info.artifact_uri
+            files = get_artifact_repository(place, tracking_uri=self.paths.tracking_uri)
+            if isinstance(files, LocalArtifactRepository):
+                here = Path(files.artifact_dir) / name
+                here.stat()
+                return here
+            return Path(files.download_artifacts(name, str(folder)))
         except (mlflow.MlflowException, OSError) as error:
             line = next(iter(str(error).splitlines()), "")
             raise InputError(f"MLflow's run {run_id} has no {name} that can be read here ({line})") from None
@@ -169,10 +202,12 @@ _opened = lru_cache(maxsize=4)(RunStore)
 
 
 def run_store(paths: ProjectPaths) -> RunStore:
-    """Return the runs of a project; opening them costs MLflow's import, so it is done once per process."""
+    """Return the runs of a project; opening them costs MLflow's import, so it is done once per process.
+
+    A command that asks for it sends them to the project's server from now on.
+    """
     store = _opened(paths)
-    # A script may have used its own store since.
-    use(paths.tracking_uri)
+    begin_sending(paths)
     return store
 
 
@@ -274,70 +309,52 @@ def register_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
         client.set_registered_model_alias(name, ALIAS, str(number))
 
 
-@contextmanager
-def _surroundings_restored() -> Iterator[None]:
-    """Undo what MLflow changes while it logs a model, once it has.
-
-    It leaves the model's code on the path, in a temporary folder that anybody may make again once it is gone,
-    and names the experiment in the environment. With either, other processes would be started to simulate.
-    """
-    places = sys.path.copy()
-    try:
-        with environment_restored():
-            yield
-    finally:
-        sys.path[:] = places
-
-
 def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     """Log the surrogate as a model of the trial's run, register it, and return its version.
 
-    Not in one call: with a name, `Model.log` prints what it has registered.
+    MLflow's function for this knows the store and the experiment of the process alone.
     """
     import numpy as np
     import pandas as pd
 
-    with (
-        warnings.catch_warnings(),
-        tempfile.TemporaryDirectory(prefix="studies-model-") as scratch,
-        _surroundings_restored(),
-    ):
+    unit, client = difference_unit(spec.output_unit), runs.client
+    kind = "PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP"
+    about = {"study": spec.name, "trial": str(best.number)}
+    with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
-        import mlflow.pyfunc
         from mlflow.models import Model, ModelSignature
+        from mlflow.pyfunc import save_model
         from mlflow.types import ColSpec, Schema, TensorSpec
 
         middle = [0.5 * (low + high) for low, high in zip(spec.lower, spec.upper, strict=True)]
         inputs: list[ColSpec | TensorSpec] = [ColSpec("double", name) for name in spec.parameter_names]
         outputs = Schema([TensorSpec(np.dtype(np.float64), (-1, -1, len(spec.output_names)))])
-        mlflow.set_experiment(experiment_id=runs.experiment(spec.label))
         weights = runs.fetch(best.run_id, SURROGATE, Path(scratch))
         needed = [f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")]
+        params, experiment = client.get_run(best.run_id).data.params, runs.experiment(spec.label)
+        made = client.create_logged_model(experiment, spec.model_name, best.run_id, about, params, kind)
+        place, folder = made.artifact_location, Path(scratch) / "model"
+        model = Model(place, best.run_id, model_uuid=made.model_id, model_id=made.model_id)
+        save_model(
+            folder,
+            mlflow_model=model,
+            loader_module="pelsvae.pyfunc",
+            code_paths=[str(Path(pelsvae.__file__).parent)],
+            data_path=str(weights),
+            pip_requirements=needed,
+            signature=ModelSignature(Schema(inputs), outputs),
+            input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
+        )
         with storing_files(best.run_id):
-            logged = Model.log(
-                None,
-                mlflow.pyfunc,
-                run_id=best.run_id,
-                name=spec.model_name,
-                model_type="PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP",
-                tags={"study": spec.name, "trial": best.number},
-                loader_module="pelsvae.pyfunc",
-                code_paths=[str(Path(pelsvae.__file__).parent)],
-                data_path=str(weights),
-                pip_requirements=needed,
-                signature=ModelSignature(Schema(inputs), outputs),
-                input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
-            )
-    unit, client = difference_unit(spec.output_unit), runs.client
+            client.log_model_artifacts(made.model_id, str(folder))
+    client.finalize_logged_model(made.model_id, "READY")
+    client.log_outputs(best.run_id, [entities.LoggedModelOutput(made.model_id, step=0)])
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
     said = ". ".join(part for part in (f"Trial {best.number} of {spec.name}", errors, spec.note) if part)
     if not client.search_registered_models(f"name = '{spec.model_name}'"):
         client.create_registered_model(spec.model_name)
-    made = client.create_model_version(
-        spec.model_name,
-        source=f"models:/{logged.model_id}",
-        run_id=best.run_id,
-        model_id=logged.model_id,
-        description=without_pictures(said),
+    # By place: to follow the model's id, MLflow looks into the store of the process.
+    registered = client.create_model_version(
+        spec.model_name, source=place, run_id=best.run_id, description=without_pictures(said)
     )
-    return int(made.version)
+    return int(registered.version)

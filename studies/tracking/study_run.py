@@ -1,11 +1,12 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import optuna
 
 from studies.results.declaration import Declaration
-from studies.tracking.runs import RunStore, register_best
+from studies.tracking.runs import SURROGATE, RunStore, register_best
 from studies.tracking.trial_run import end_run
 
 if TYPE_CHECKING:
@@ -17,8 +18,9 @@ BEST = "best"
 
 def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None) -> str:
     """Open the run of a study, a new one or the one it has, and return its id."""
+    runs.experiment(spec.label)  # one that was deleted is restored, and its runs with it
     if run_id is not None and runs.is_there(run_id):
-        runs.client.update_run(run_id, status="RUNNING")
+        runs.open_again(run_id)
         return run_id
     role = "baseline study" if spec.is_baseline else "study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
@@ -43,31 +45,42 @@ def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> Non
             end_run(runs, run.info.run_id, trial)
 
 
-def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str) -> str:
-    """Write what a study came to on its run, mark and register its best trial, and end the run.
+def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, str]":
+    """Leave out of a study the best trials whose runs their owner has deleted in MLflow.
 
     Returns:
-        What is in the way of the mark and the registration, in one line; "" where nothing is.
+        The study as it is then, whose best trial has weights, and a line that says so; "" where none is gone.
     """
-    best, fault = found.best, ""
-    if best is not None and not runs.is_there(best.run_id):
-        fault = (
-            f"{spec.name}: the run of its best trial, {best.number}, was deleted in MLflow, so it is not "
-            f"registered; to have it back: mlflow runs restore --run-id {best.run_id}"
-        )
+    found, fault, way_back = replace(found, gone=frozenset()), "", ""
+    while (best := found.best) is not None:
+        is_there = runs.is_there(best.run_id)
+        # Of trials that were not the best when they ended no weights were kept.
+        if is_there and (not fault or runs.has(best.run_id, SURROGATE)):
+            break
+        if not is_there and not fault:
+            fault = f"{found.spec.name}: the run of its best trial, {best.number}, was deleted in MLflow"
+            way_back = f"mlflow runs restore --run-id {best.run_id}"
+        found = replace(found, gone=found.gone | {best.run_id})
+    if fault:
+        instead = "no other trial has weights" if best is None else f"trial {best.number} takes its place"
+        fault += f": {instead}; to have it back: {way_back}"
+    return found, fault
+
+
+def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str) -> None:
+    """Write what a study came to on its run, mark and register its best trial, and end the run."""
+    best = found.best
     numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
     if best is not None:
         numbers |= {f"best/{name}": value for name, value in best.metrics.items()}
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
         if found.gain is not None:
             numbers["best/gain_over_default"] = found.gain
-        if not fault:
-            mark_best(runs, spec, best)
-        if not fault and not spec.is_baseline:
+        mark_best(runs, spec, best)
+        if not spec.is_baseline:
             register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED")
-    return fault
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

@@ -14,7 +14,8 @@ from pelsvae.epochs import EpochReport
 from studies.results.declaration import Declaration
 from studies.results.trials import errors_of
 from studies.tracking.quiet_mlflow import entities
-from studies.tracking.runs import CURVE, PARENT, RunStore
+from studies.tracking.runs import CURVE, RunStore
+from studies.tracking.study_tags import PARENT
 
 N_POINTS = 100
 """Of the loss and of each of its terms; the validation error is written at every epoch."""

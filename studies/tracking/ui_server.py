@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Mapping
 from contextlib import suppress
 from urllib.parse import quote, urlencode
 
@@ -14,6 +15,7 @@ from simulation.errors import InputError, MachineError
 from simulation.pool.family import end_with_parent
 from simulation.write_gate import check_written
 from studies.paths import ProjectPaths
+from studies.tracking.sent_runs import sent_runs
 from studies.words.console import Console
 
 HOST, FIRST_PORT, N_PORTS = "127.0.0.1", 5000, 100
@@ -44,6 +46,14 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
         InputError: there is no store yet, the port is taken or the label is unknown.
         MachineError: MLflow's server does not start.
     """
+    sent = sent_runs(paths)
+    if sent is not None and paths.server is not None and paths.server.is_remote:
+        for what, page in _pages_of(sent.experiments, label).items():
+            console.result(f"{what}: {sent.uri}/{page}")
+        console.document(
+            {"command": "ui", "url": f"{sent.uri}/{next(iter(_pages_of(sent.experiments, label).values()))}"}
+        )
+        return 0
     if paths.storage is None and not paths.tracking_database.is_file():
         raise InputError(f"there is no {paths.show(paths.tracking_database)} yet; type: studies run")
     log = paths.mlruns / LOG_FILE
@@ -90,7 +100,10 @@ def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
     from studies.tracking.runs import run_store
 
     experiments = run_store(paths).client.search_experiments(order_by=["last_update_time DESC"])
-    known = {one.name: one.experiment_id for one in experiments if one.name != "Default"}
+    return _pages_of({one.name: one.experiment_id for one in experiments if one.name != "Default"}, label)
+
+
+def _pages_of(known: Mapping[str, str], label: str | None) -> dict[str, str]:
     if label is not None and label not in known:
         raise InputError(f"MLflow has no experiment {label!r}; there are: {', '.join(known) or 'none'}")
     if not known:

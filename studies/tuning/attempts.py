@@ -5,7 +5,9 @@ A place is a trial and the retries of it: a study of 20 trials has 20 places, ho
 
 import copy
 import socket
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,9 +26,19 @@ MAX_RETRIES = 5
 RUN_ID, OWNER = "mlflow_run_id", "owner"
 DECLARATION, PLANNED, PROVENANCE, CLOSED = "declaration", "n_trials", "provenance", "closed"
 """Attributes of a study; `closed` says how many trials it had when its best surrogate was registered."""
+GONE = "gone"
+"""Attribute of a study: runs in MLflow that cannot be recommended, as their owner deleted them."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
 _SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile
+
+
+@contextmanager
+def experimental() -> Iterator[None]:
+    """Use what Optuna warns may change; the warnings of a script stay as they are."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        yield
 
 
 def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optuna.Study:
@@ -103,7 +115,8 @@ def declaration_of(study: optuna.Study) -> Declaration:
 
 def first_number(trial: FrozenTrial) -> int:
     """Return the number of the first attempt at a trial's place: another one's where it is a retry."""
-    first = RetryHeartbeatStaleTrialCallback.retried_trial_number(trial)
+    with experimental():
+        first = RetryHeartbeatStaleTrialCallback.retried_trial_number(trial)
     return trial.number if first is None else first
 
 
@@ -136,7 +149,8 @@ def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
         # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
         trial.distributions, trial.params = {}, {}
     # Optuna's own callback: what other programs read of retries then holds here too.
-    RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
+    with experimental():
+        RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
 
 
 def retry_lost(study: optuna.Study) -> None:
@@ -146,7 +160,8 @@ def retry_lost(study: optuna.Study) -> None:
     leaves a trial that is found again, not one that is lost.
     """
     trials = study.get_trials(deepcopy=False)
-    repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
+    with experimental():
+        repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
     ours = [trial for trial in trials if trial.state == TrialState.RUNNING and is_owned(trial)]
     for trial in (one for one in ours if is_dead(one.user_attrs[OWNER])):
         # A kill between retry and failure: the retry is there already.

@@ -11,6 +11,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
 from studies.results.declaration import Declaration
+from studies.tuning.attempts import experimental
 
 _Made = TypeVar("_Made")
 # Each trial has a sampler of its own: with a seed per trial they would mix several sequences.
@@ -52,7 +53,8 @@ def _made(
     # Not every sampler has a seed.
     takes = {key: value for key, value in more.items() if key in signature(found).parameters}
     try:
-        return found(**(takes | arguments))
+        with experimental():
+            return found(**(takes | arguments))
     except (TypeError, ValueError) as error:
         raise InputError(f"tuning.{kind}: {name} refuses its arguments: {error}") from None
 

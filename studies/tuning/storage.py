@@ -1,24 +1,23 @@
 """Optuna's storage: opened, and locked for whoever begins a trial."""
 
 import hashlib
+import logging
 import sqlite3
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 
-import optuna
 from optuna.storages import RDBStorage
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths, opening
-from studies.tuning.attempts import run_again
+from studies.tuning.attempts import experimental, run_again
+from studies.words.quiet_loggers import hush
 
 # Two heartbeats may be missed before a worker on another machine counts as dead.
 HEARTBEAT_S, GRACE_S = 10, 30
 
-optuna.logging.set_verbosity(optuna.logging.ERROR)
-warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+hush("optuna", logging.ERROR)
 
 
 def open_storage(paths: ProjectPaths) -> RDBStorage:
@@ -37,13 +36,14 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
                 made.execute("pragma journal_mode=wal")
         # SQLite has one writer at a time, for whom others wait; a server may close idle connections.
         waits, asks = {"connect_args": {"timeout": 60}}, {"pool_pre_ping": True}
-        storage = RDBStorage(
-            paths.optuna_url,
-            engine_kwargs=waits if paths.storage is None else asks,
-            heartbeat_interval=HEARTBEAT_S,
-            grace_period=GRACE_S,
-            heartbeat_stale_trial_callback=run_again,
-        )
+        with experimental():
+            storage = RDBStorage(
+                paths.optuna_url,
+                engine_kwargs=waits if paths.storage is None else asks,
+                heartbeat_interval=HEARTBEAT_S,
+                grace_period=GRACE_S,
+                heartbeat_stale_trial_callback=run_again,
+            )
     if paths.storage is None:
         from sqlalchemy import event
 

@@ -1,12 +1,14 @@
 """What the studies of a project have come to, read from Optuna alone: for tables, figures and programs."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
+from studies.results.declaration import Declaration
 from studies.results.trials import TrialView, TunedStudy, errors_of
 from studies.search_space import SearchSpace
 from studies.tuning import attempts
@@ -27,6 +29,7 @@ def read_study(study: optuna.Study) -> TunedStudy:
         n_planned=int(attrs.get(attempts.PLANNED, 0)),
         trials=tuple(map(_view, attempts.places(study.get_trials(deepcopy=False)))),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
+        gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
     )
 
 
@@ -44,10 +47,25 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
         for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
             declared = study.user_attrs.get(attempts.DECLARATION)
             # The label first: to read a study means to read all its trials.
-            if isinstance(declared, dict) and label in (None, declared.get("label")):
+            if not isinstance(declared, dict) or label not in (None, declared.get("label")):
+                continue
+            # Those of before have no project.
+            if declared.get("project", "") in ("", paths.identity):
                 found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
     found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s))
     return found
+
+
+def of_project(specs: Sequence[Declaration], paths: ProjectPaths) -> list[Declaration]:
+    """Return declarations that are the project's own in a database that others share.
+
+    A study of before, without a project, is gone on with.
+    """
+    if paths.storage is None or not paths.identity:
+        return [*specs]
+    with storage_of(paths) as storage:
+        known = {one.study_name for one in storage.get_all_studies()}
+    return [one if one.name in known else replace(one, project=paths.identity) for one in specs]
 
 
 def latest_studies(

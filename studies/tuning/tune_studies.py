@@ -17,7 +17,8 @@ from studies.results.declaration import Declaration
 from studies.results.trials import TunedStudy
 from studies.task import StageError
 from studies.tracking.runs import RunStore
-from studies.tracking.study_run import close_study, end_left_runs, open_study_run
+from studies.tracking.sending import begin_sending
+from studies.tracking.study_run import close_study, end_left_runs, open_study_run, without_deleted
 from studies.tuning import attempts
 from studies.tuning.forked_worker import ForkedWorker
 from studies.tuning.storage import storage_of, study_locked
@@ -53,9 +54,12 @@ class _Part:
 
     def close(self, on_warning: Callable[[str], None]) -> TunedStudy:
         """Register the best surrogate of a study and end its run."""
-        found = read_study(self.study)
-        if fault := close_study(self.runs, self.spec, found, self.run_id):
+        found, fault = without_deleted(self.runs, read_study(self.study))
+        if fault:
             on_warning(fault)
+        if self.study.user_attrs.get(attempts.GONE, []) != sorted(found.gone):
+            self.study.set_user_attr(attempts.GONE, sorted(found.gone))
+        close_study(self.runs, self.spec, found, self.run_id)
         self.study.set_user_attr(attempts.CLOSED, len(found.trials))
         return found
 
@@ -163,6 +167,7 @@ def tune(
     """
     with storage_of(paths) as storage:
         runs = RunStore(paths)
+        begin_sending(paths)
         sizes: dict[int, _Size] = {}
         for spec in specs:
             planned = 1 if spec.is_baseline else n_trials

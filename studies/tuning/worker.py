@@ -27,11 +27,13 @@ from studies.results.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
 from studies.tracking.origin import environment
 from studies.tracking.runs import SURROGATE, RunStore
+from studies.tracking.sending import begin_sending, runs_sent
 from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import open_storage, study_locked
 from studies.tuning.trial_training import load_data, load_drive, train
+from studies.words.quiet_loggers import working
 
 
 class TrialFailedError(Exception):
@@ -208,8 +210,11 @@ def run_studies(paths: ProjectPaths | None, names: Sequence[str], until_s: float
         The exit code: 2 where a study cannot be used.
     """
     try:
-        for name in names:
-            Worker(paths or find_project(None), name).run(until_s=until_s)
+        with working():
+            project = paths or find_project(None)
+            begin_sending(project)
+            for name in names:
+                Worker(project, name).run(until_s=until_s)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -222,7 +227,8 @@ def main() -> int:
     parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
     parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
     chosen = parser.parse_args()
-    return run_studies(None, chosen.studies, chosen.until)
+    with runs_sent(lambda line: print(line, file=sys.stderr)):
+        return run_studies(None, chosen.studies, chosen.until)
 
 
 if __name__ == "__main__":

@@ -170,3 +170,36 @@ def test_digests_depend_on_content_and_not_on_order(content: dict[str, Any]) -> 
     assert digest_of(content) == digest_of(backwards)
     name = next(iter(content))
     assert digest_of(content) != digest_of({**content, name: [content[name]]})
+
+
+def test_a_run_that_could_not_be_logged_is_logged_by_the_next_command(task: Task) -> None:
+    stage, logged = Stage(task, "made", "made up", {"x": 1}, Made), list[int]()
+
+    def refuse(_: Task, outcome: Outcome[Made]) -> None:
+        logged.append(outcome.result.n)
+        if len(logged) == 1:
+            raise OSError("no space")
+
+    with pytest.raises(OSError, match="no space"):
+        stage.once(lambda: RESULT, log=refuse)
+    assert stage.once(lambda: replace(RESULT, n=8), log=refuse).result.n == 7  # it was stored before
+    assert logged == [7, 7]
+    stage.once(lambda: RESULT, log=refuse)
+    assert logged == [7, 7]
+
+
+def test_a_result_stays_until_the_new_one_is_whole(task: Task) -> None:
+    stage = Stage(task, "made", "made up", {"x": 1}, Made)
+    stage.once(lambda: RESULT)
+
+    def fail() -> Made:
+        raise KeyboardInterrupt
+
+    assert stage.is_anew
+    with pytest.raises(KeyboardInterrupt):
+        stage.once(fail, again=True)
+    assert not stage.is_anew  # the same command goes on
+    assert stage.once(fail).result.n == 7
+    assert stage.once(lambda: replace(RESULT, n=8), again=True).result.n == 8
+    assert stage.once(fail).result.n == 8
+    assert stage.is_anew

@@ -20,6 +20,7 @@ WHY_NOT = {
     r"^studies uncertainty( |$)": "takes 10 s; tests/cli ask how sure calibrations are",
     r"--profile refined.toml$": "networks of that form were trained for this project",
     r"^studies reproduce office-quick": "tests/cli reproduce a trial and a calibration",
+    r"mlflow.example.com|wall --max-calls 30$|best wall$": "its page is run with a server",
     r"--write (fmu|onnx|csv) ": "the page of these lines is run as a whole",
     r" --experiment ": "tests/cli/test_cli_experiments.py types them for a case with experiments",
     r"--output TAir": "names variables of an FMU that is not there",

@@ -1,6 +1,7 @@
 """The commands as functions: the same numbers as the command line, from a script without a main guard."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,16 +23,35 @@ from studies import calibrate
 calibrate("wall", max_calls=30, seed=1)
 """
 GUEST = """
-import os
-import mlflow
+import logging, os, sys, threading, warnings
+import mlflow, optuna, scipy.special, torch  # which add filters of warnings of their own
+from mlflow.tracking import fluent
 mlflow.set_tracking_uri("sqlite:///own.db")
 mlflow.set_experiment("mine")
+optuna.logging.set_verbosity(optuna.logging.INFO)
 from studies import calibrate, reproduce
-with mlflow.start_run():
-    before = dict(os.environ)
+loggers = ["", "alembic", "mlflow", "mlflow.store.db.utils", "optuna", "psycopg"]
+def state():
+    levels = [logging.getLogger(name).level for name in loggers]
+    return mlflow.get_tracking_uri(), fluent._active_experiment_id, dict(os.environ), list(sys.path), levels
+with mlflow.start_run() as mine:
+    before, filters, seen, is_over = state(), list(warnings.filters), [], threading.Event()
+    def watch():
+        while not is_over.wait(0.01):
+            seen.append(state()[:2])
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    print("from here on", file=sys.stderr)
     name = calibrate("wall", max_calls=30, seed=1, again=True).name
-    assert dict(os.environ) == before
     assert reproduce(name, jobs=1).is_equal  # in the project's store again
+    print("until here", file=sys.stderr)
+    is_over.set()
+    watcher.join()
+    assert state() == before
+    # torch adds some of its own while parts of it are imported later on
+    assert not [one for one in warnings.filters if one not in filters and "torch" not in str(one)]
+    assert {*seen} == {before[:2]}  # not even briefly, for the script may have threads
+    assert mlflow.active_run().info.run_id == mine.info.run_id
     mlflow.log_metric("mse", 1.0)
 (run,) = mlflow.MlflowClient().search_runs([mlflow.get_experiment_by_name("mine").experiment_id])
 assert run.data.metrics == {"mse": 1.0}
@@ -82,6 +102,9 @@ def test_mlflow_stays_as_a_script_has_set_it(project: Path) -> None:
     command = [sys.executable, "-c", "import guest"]
     done = subprocess.run(command, cwd=project, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
+    meanwhile = done.stderr.partition("from here on")[2].partition("until here")[0]
+    assert "finished in" in meanwhile
+    assert not re.search(r" INFO |\[I |Downloading|Warning", meanwhile), meanwhile
 
 
 def test_the_trajectories_give_the_error_again(found: CalibrationResult) -> None:

@@ -33,8 +33,8 @@ def test_without_a_marker_the_working_folder_is_the_project(folder: Path) -> Non
 
 
 def test_the_nearest_marker_above_makes_the_project(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mark_project(folder.parent.parent, Console())
-    mark_project(folder.parent, Console())
+    mark_project(ProjectPaths(folder.parent.parent), Console())
+    mark_project(ProjectPaths(folder.parent), Console())
     assert find_project(None).root == folder.parent
     monkeypatch.chdir(folder.parent.parent)
     assert find_project(None).root == folder.parent.parent

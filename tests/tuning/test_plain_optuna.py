@@ -2,6 +2,7 @@
 
 from datetime import datetime, timedelta
 
+import numpy as np
 import optuna
 import pytest
 from optuna.trial import TrialState, create_trial
@@ -16,7 +17,8 @@ from toy_study_for_tests import (
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.tracking.runs import RunStore
+from studies.tracking.quiet_mlflow import connect
+from studies.tracking.runs import RunStore, load_surrogate
 from studies.tuning.study_results import read_studies
 from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
@@ -71,8 +73,9 @@ def test_an_enqueued_value_of_no_kind_fails_its_trial_and_no_other(copied: Proje
     assert other.state in (TrialState.COMPLETE, TrialState.PRUNED)
 
 
-def test_a_best_run_that_was_deleted_is_named_and_work_goes_on(copied: ProjectPaths) -> None:
-    spec, said = tuned_study(16), list[str]()
+@pytest.mark.parametrize("n_train", [16, 24])
+def test_a_best_run_that_was_deleted_is_named_and_work_goes_on(copied: ProjectPaths, n_train: int) -> None:
+    spec, said = tuned_study(n_train), list[str]()
     best = next(one.best for one in read_studies(copied) if one.spec.name == spec.name)
     assert best is not None
     runs = RunStore(copied)
@@ -80,10 +83,46 @@ def test_a_best_run_that_was_deleted_is_named_and_work_goes_on(copied: ProjectPa
     tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1, on_warning=said.append)
     (line,) = said
     assert line.endswith(f"mlflow runs restore --run-id {best.run_id}")
+    # What is recommended instead is there and can be loaded.
+    second = next(one.best for one in read_studies(copied) if one.spec.name == spec.name)
+    if second is None:
+        assert "no other trial has weights" in line
+    else:
+        assert f"trial {second.number} takes its place" in line
+        assert second.run_id != best.run_id
+        assert champion(copied, spec.model_name) == second.run_id
+        assert load_surrogate(runs, second.run_id).predict(np.array([[1.0, 1e4]])).shape == (1, 25, 1)
     # Its owner has it back, and the next command marks and registers it again.
     runs.client.restore_run(best.run_id)
     tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1, on_warning=said.append)
     assert said == [line]
+    assert champion(copied, spec.model_name) == best.run_id
+
+
+def champion(paths: ProjectPaths, name: str) -> str | None:
+    return connect(paths.tracking_uri).get_model_version_by_alias(name, "champion").run_id
+
+
+def test_what_its_owner_deletes_elsewhere_does_not_end_the_work(copied: ProjectPaths) -> None:
+    spec, said = tuned_study(16), list[str]()
+    client = connect(copied.tracking_uri)
+    client.delete_registered_model(spec.model_name)
+    (found,) = tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1, on_warning=said.append)
+    assert found.best is not None
+    assert champion(copied, spec.model_name) == found.best.run_id
+    client.delete_model_version(spec.model_name, "1")
+    client.delete_experiment(RunStore(copied).experiment(spec.label))
+    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1, on_warning=said.append)
+    assert champion(copied, spec.model_name) == found.best.run_id
+    assert len(runs_of(copied, spec.label, role="study", study=spec.name)) == 1
+    optuna.delete_study(study_name=spec.name, storage=copied.optuna_url)
+    (anew,) = tune([spec], paths=copied, n_trials=1, n_jobs=1, on_warning=said.append)
+    assert [trial.number for trial in anew.trials] == [0]
+    assert anew.best is not None
+    assert champion(copied, spec.model_name) == anew.best.run_id
+    marked = runs_of(copied, spec.label, best="yes", n_train="16")
+    assert [run.info.run_id for run in marked] == [anew.best.run_id]
+    assert said == []
 
 
 def test_studies_of_other_programs_are_left_alone(copied: ProjectPaths) -> None:

@@ -4,6 +4,7 @@ import os
 import shutil
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import mlflow
@@ -108,12 +109,14 @@ def test_the_best_of_each_size_is_found_in_one_call_also_after_more_trials(copie
         assert version.run_id == found.run_id
 
 
-def test_a_registration_leaves_path_and_environment_as_they_were(copied: ProjectPaths) -> None:
+def test_a_registration_leaves_the_process_as_it_was(copied: ProjectPaths, tmp_path: Path) -> None:
     baseline = next(one for one in read_studies(copied) if one.spec.is_baseline)
     assert baseline.best is not None
-    runs, before = RunStore(copied), (sys.path.copy(), dict(os.environ))
-    register_best(runs, baseline.spec, baseline.best)  # which tuning does for networks alone
-    assert (sys.path, dict(os.environ)) == before
+    mlflow.set_tracking_uri(f"sqlite:///{tmp_path}/own.db")
+    before = mlflow.get_tracking_uri(), sys.path.copy(), dict(os.environ), warnings.filters.copy()
+    register_best(RunStore(copied), baseline.spec, baseline.best)  # which tuning does for networks alone
+    assert (mlflow.get_tracking_uri(), sys.path, dict(os.environ), warnings.filters) == before
+    assert not (tmp_path / "own.db").exists()  # nothing was asked of it either
 
 
 @pytest.mark.parametrize("n_train", [16, 24])

@@ -1,6 +1,8 @@
 """Tuning on a PostgreSQL server: workers side by side, one of them killed, and plain Optuna on its URL."""
 
 import os
+import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import optuna
@@ -9,8 +11,12 @@ from toy_study_for_tests import assert_mlflow_agrees, states, toy_study, workers
 
 from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths
-from studies.tuning.attempts import places
-from studies.tuning.storage import open_storage
+from studies.server import give_identity
+from studies.tracking.quiet_mlflow import connect
+from studies.tracking.runs import RunStore
+from studies.tuning.attempts import make_study, places
+from studies.tuning.storage import open_storage, storage_of
+from studies.tuning.study_results import of_project, read_studies
 from studies.tuning.tune_studies import tune
 
 if TYPE_CHECKING:
@@ -58,3 +64,38 @@ def test_a_server_that_does_not_answer_is_reported_in_one_line(project: ProjectP
 def test_a_database_that_is_not_there_is_reported(project: ProjectPaths, storage: str) -> None:
     with pytest.raises(InputError, match="nowhere"):
         open_storage(ProjectPaths(project.root, storage.rsplit("/", 1)[0] + "/nowhere"))
+
+
+def test_two_projects_of_one_name_in_one_database_find_their_own(
+    project: ProjectPaths, storage: str, tmp_path: Path
+) -> None:
+    shutil.copytree(project.root, tmp_path / "other")
+    both = [ProjectPaths(root, storage) for root in (project.root, tmp_path / "other")]
+    champions = []
+    for paths in both:
+        give_identity(paths.root / "studies.toml")
+        (spec,) = of_project([toy_study()], paths)
+        (found,) = tune([spec], paths=paths, n_trials=1, n_jobs=1)
+        version = connect(paths.tracking_uri).get_model_version_by_alias(spec.model_name, "champion")
+        assert found.best is not None
+        assert version.run_id == found.best.run_id
+        champions.append(version.run_id)
+        assert [one.spec for one in read_studies(paths)] == [spec]
+        run = RunStore(paths).find(spec.label, {"best": "yes"})
+        assert [one.info.run_id for one in run] == [version.run_id]
+    assert champions[0] != champions[1]
+    assert both[0].identity != both[1].identity
+    # A copy keeps the identity, and finds what the first one has.
+    shutil.copytree(project.root, tmp_path / "copy")
+    copy = ProjectPaths(tmp_path / "copy", storage)
+    assert [one.best.run_id for one in read_studies(copy) if one.best] == champions[:1]
+
+
+def test_a_study_of_before_is_gone_on_with(project: ProjectPaths, storage: str) -> None:
+    paths = ProjectPaths(project.root, storage)
+    with storage_of(paths) as opened:
+        make_study(opened, toy_study(), n_trials=1)
+    give_identity(paths.root / "studies.toml")
+    assert of_project([toy_study(), toy_study(24)], paths)[0] == toy_study()
+    assert of_project([toy_study(24)], paths)[0].project == paths.identity
+    assert [one.spec for one in read_studies(paths)] == [toy_study()]

@@ -1,0 +1,64 @@
+"""Which runs of a project lie on a server, and under which ids: read without MLflow."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from simulation.foreign_file import Limit, read_text
+from simulation.whole_file import whole_file
+from studies.paths import ProjectPaths
+from studies.server import Server
+
+_SIZE = Limit("a list of runs on a server", 100)
+
+
+@dataclass
+class SentRuns:
+    """What a server has of a project.
+
+    Args:
+        uri: the server.
+        experiments: ids of experiments there, by label.
+        runs: by id in the project: `id` there ("" of a run that was deleted there), and what it had.
+        models: by name of a registered model in the project: `name` there, and `run` in the project.
+    """
+
+    uri: str
+    experiments: dict[str, str] = field(default_factory=dict)
+    runs: dict[str, dict[str, Any]] = field(default_factory=dict)
+    models: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, paths: ProjectPaths, server: Server) -> "SentRuns":
+        """Read what was noted; nothing where that is missing or damaged: then the server is asked."""
+        found: Mapping[str, Any] = {}
+        with suppress(ValueError, OSError):  # an InputError is a ValueError
+            found = json.loads(read_text(_file(paths, server), _SIZE))
+        known = {name: found[name] for name in ("experiments", "runs", "models") if name in dict(found)}
+        return cls(server.uri, **{name: one for name, one in known.items() if isinstance(one, dict)})
+
+    def write(self, paths: ProjectPaths, server: Server) -> None:
+        """Note it in the project."""
+        with whole_file(_file(paths, server)) as stream:
+            stream.write(json.dumps(asdict(self)).encode())
+
+    def id_of(self, run_id: str) -> str:
+        """Return the id on the server of a run of the project; "" where it is not there."""
+        return str(self.runs.get(run_id, {}).get("id", ""))
+
+    def run_of(self, sent_id: str) -> str | None:
+        """Return the project's run that has an id on the server."""
+        return next((run for run, one in self.runs.items() if one.get("id") == sent_id), None)
+
+
+def sent_runs(paths: ProjectPaths) -> SentRuns | None:
+    """Return what the server of a project has of it; None where it has no server."""
+    return None if paths.server is None else SentRuns.read(paths, paths.server)
+
+
+def _file(paths: ProjectPaths, server: Server) -> Any:
+    where = hashlib.sha256(f"{server.uri} {server.experiment}".encode()).hexdigest()[:12]
+    return paths.mlruns / "sent" / f"{where}.json"
