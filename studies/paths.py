@@ -42,7 +42,7 @@ class ProjectPaths:
 
     @property
     def identity(self) -> str:
-        """What tells the project from others of its name where they share a database or a server.
+        """What distinguishes the project from others of its name in a shared database or server.
 
         A copy or a clone keeps it. It is empty where nothing is shared, and before the first command.
         """

@@ -1,6 +1,6 @@
 """Runs of a project on their way to a server: what differs there is sent, and nothing is sent twice.
 
-The project's own store is written first and is what a server that was away is told of later. A run has the
+The project's own store is written first and is what a server that was away hears of later. A run has the
 tag `studies.run` there: whoever goes on after a kill finds it again.
 """
 
@@ -114,7 +114,7 @@ class Outbox:
             "name": run.info.run_name,
             "params": dict(run.data.params),
             "tags": tags,
-            # The curves of a run that goes on are told by their latest points.
+            # The curves of a run that goes on are known by their latest points.
             "metrics": sorted((one.key, one.step, one.value) for one in run.data._metric_objs),
             "files": {
                 one.relative_to(place).as_posix(): [one.stat().st_size, one.stat().st_mtime_ns]

@@ -63,8 +63,8 @@ def test_the_file_of_a_project_sends_nothing_unless_its_user_allows_it(
     assert allowed.read_text() == "https://host\n"
     assert choose_server(None, file, "") == Server("https://host", "https://host", "x", (("team", "halls"),))
     # A registry of its own has to be allowed, too.
-    file.write_text('tracking = "https://host"\nregistry = "https://elsewhere"\n', encoding="utf-8")
-    with pytest.raises(InputError, match="https://elsewhere"):
+    file.write_text('tracking = "https://host"\nregistry = "https://registry"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="https://registry"):
         choose_server(None, file, "")
 
 

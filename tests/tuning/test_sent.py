@@ -39,7 +39,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MlflowServer]:
     made.close()
 
 
-def told(paths: ProjectPaths, uri: str, **more: Any) -> ProjectPaths:
+def with_server(paths: ProjectPaths, uri: str, **more: Any) -> ProjectPaths:
     """Return a project whose runs were made for a server; none was sent yet."""
     give_identity(paths.root / "studies.toml")
     with_server = replace(paths, server=Server(uri, uri, **more))
@@ -98,7 +98,7 @@ def assert_equal_there(uri: str, paths: ProjectPaths) -> None:
 def test_runs_curves_artifacts_and_models_are_on_the_server(
     copied: ProjectPaths, server: MlflowServer
 ) -> None:
-    paths = told(copied, server.uri, tags=(("team", "halls"),))
+    paths = with_server(copied, server.uri, tags=(("team", "halls"),))
     assert send(paths) == []
     there = runs_there(server.uri, paths)
     assert {run.data.tags.pop("team") for run in there.values()} == {"halls"}
@@ -122,7 +122,7 @@ def test_runs_curves_artifacts_and_models_are_on_the_server(
 
 
 def test_a_list_of_sent_runs_that_is_lost_doubles_nothing(copied: ProjectPaths, server: MlflowServer) -> None:
-    paths = told(copied, server.uri)
+    paths = with_server(copied, server.uri)
     send(paths)
     shutil.rmtree(paths.mlruns / "sent")
     assert send(paths) == []
@@ -138,7 +138,7 @@ def test_two_projects_of_one_name_find_their_own(
     copied: ProjectPaths, server: MlflowServer, tmp_path: Path
 ) -> None:
     shutil.copytree(copied.root, tmp_path / "other")
-    one, other = told(copied, server.uri), told(ProjectPaths(tmp_path / "other"), server.uri)
+    one, other = with_server(copied, server.uri), with_server(ProjectPaths(tmp_path / "other"), server.uri)
     assert send(one) == send(other) == []
     assert_equal_there(server.uri, one)
     assert_equal_there(server.uri, other)
@@ -152,7 +152,7 @@ def test_two_projects_of_one_name_find_their_own(
 def test_a_run_that_its_owner_deleted_there_is_not_made_again(
     copied: ProjectPaths, server: MlflowServer
 ) -> None:
-    paths = told(copied, server.uri)
+    paths = with_server(copied, server.uri)
     send(paths)
     client, store = mlflow.MlflowClient(server.uri, server.uri), RunStore(paths)
     run = next(run for run in runs_of(paths, LABEL, best="yes") if run.data.params["n_train"] == "16")
@@ -166,7 +166,7 @@ def test_a_run_that_its_owner_deleted_there_is_not_made_again(
 
 def test_a_server_without_a_registry_has_the_runs(copied: ProjectPaths, server: MlflowServer) -> None:
     proxy = WithoutRegistry(server.uri)
-    paths = told(copied, proxy.uri)
+    paths = with_server(copied, proxy.uri)
     said = send(paths)
     proxy.close()
     assert said == [f"{proxy.uri} has no model registry: models stay in the project"]
@@ -174,7 +174,7 @@ def test_a_server_without_a_registry_has_the_runs(copied: ProjectPaths, server: 
 
 
 def test_a_killed_server_costs_no_trial_and_no_run(project: ProjectPaths, server: MlflowServer) -> None:
-    paths = told(project, server.uri)
+    paths = with_server(project, server.uri)
     spec, said, kills = toy_study(), [], []
 
     def kill_once(_: object, trials: list[optuna.trial.FrozenTrial]) -> None:
@@ -206,7 +206,7 @@ def test_a_server_with_a_password(
         study, trial, *others = runs_of(copied, LABEL)
         for run in others:  # a call takes 0.3 s
             client.delete_run(run.info.run_id)
-        paths = told(copied, guarded.uri)
+        paths = with_server(copied, guarded.uri)
         with pytest.raises(ServerAwayError, match="401"):
             send(paths)
         monkeypatch.setenv("MLFLOW_TRACKING_USERNAME", NAME)
@@ -224,7 +224,7 @@ def test_another_sqlite_file_is_a_server_too(
 ) -> None:
     give_store(tmp_path / "mine")
     uri = f"sqlite:///{tmp_path}/mine/mlruns/mlflow.db"
-    paths = told(copied, uri)
+    paths = with_server(copied, uri)
     monkeypatch.chdir(tmp_path)  # where MLflow puts the files of such a store
     assert send(paths) == []
     assert_equal_there(uri, paths)
