@@ -62,7 +62,7 @@ class Declaration:
         max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
         is_baseline: whether it is the PCA + GP that is fitted for comparison.
         note: shown where the numbers are shown.
-        project: identity of the project whose study it is in a database that others share; empty elsewhere.
+        project: identity of the project whose study it is in a database that others share; else empty.
     """
 
     __pydantic_config__ = STRICT

@@ -1,6 +1,6 @@
 """Runs of a project on their way to a server: what differs there is sent, and nothing is sent twice.
 
-The project's own store is written first and is what a server that was away hears of later. A run has the
+The project's own store is written first and is what a server that was away gets later. A run has the
 tag `studies.run` there: whoever goes on after a kill finds it again.
 """
 

@@ -103,7 +103,7 @@ def champion(paths: ProjectPaths, name: str) -> str | None:
     return connect(paths.tracking_uri).get_model_version_by_alias(name, "champion").run_id
 
 
-def test_what_its_owner_deletes_elsewhere_does_not_end_the_work(copied: ProjectPaths) -> None:
+def test_what_its_owner_deletes_in_other_programs_does_not_end_the_work(copied: ProjectPaths) -> None:
     spec, said = tuned_study(16), list[str]()
     client = connect(copied.tracking_uri)
     client.delete_registered_model(spec.model_name)
