@@ -1,6 +1,6 @@
 """The MLflow server that a project's runs are sent to: named by whom, and allowed by whom.
 
-A project's folder may be a stranger's: what it names is used once the user has allowed it outside the project.
+A project's folder may be a stranger's: what it names is used once the user has allowed it.
 """
 
 import os
