@@ -12,8 +12,8 @@ from mlflow_store_for_tests import give_store
 ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "docs" / "tutorials" / "office-in-python.ipynb"
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
-PROCESSORS_DIFFER = 0.2
-"""Networks and the polish from them end at other values on another kind of processor."""
+PROCESSORS_DIFFER = 0.6
+"""A training ends in another local minimum on another kind of processor, and the polish begins from there."""
 
 
 def shown(cells: list[dict[str, Any]]) -> str:
