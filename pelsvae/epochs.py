@@ -1,7 +1,12 @@
 """What a training reports while it goes, and how it fails."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class TrainingDiverged(RuntimeError):  # noqa: N818 - an outcome to expect, like a pruned trial
@@ -26,3 +31,55 @@ class EpochReport:
     train_loss: float
     validation_mae: float
     terms: Mapping[str, float] = field(default_factory=dict)
+
+
+class BestWeights:
+    """Judges validated epochs, reports them, and keeps the weights of the best one."""
+
+    def __init__(
+        self, weights: "Sequence[Tensor]", max_epochs: int, on_epoch: Callable[[EpochReport], None] | None
+    ) -> None:
+        """Begin with the weights as they are.
+
+        Args:
+            weights: Changed in place by the training.
+            max_epochs: Epochs at most.
+            on_epoch: Called after each validated epoch.
+        """
+        self._weights, self._max_epochs, self._on_epoch = weights, max_epochs, on_epoch
+        self._best = [weight.detach().clone() for weight in weights]
+        self._best_mae = math.inf
+        self.epoch = 0  # the best one
+
+    def judge(
+        self, epoch: int, mae: float, terms: "Sequence[float]", names: Sequence[str], remedy: str
+    ) -> None:
+        """Take note of a validated epoch.
+
+        Args:
+            epoch: Its number, from 1.
+            mae: Its validation error. [output's unit]
+            terms: The loss, then its terms.
+            names: Of the terms.
+            remedy: What to change where it diverged.
+
+        Raises:
+            TrainingDiverged: A number is not finite.
+        """
+        loss, *parts = terms
+        # Checked here, as no comparison with NaN is true: the training would go on unseen.
+        if not all(map(math.isfinite, (loss, *parts, mae))):
+            raise TrainingDiverged(
+                f"loss {loss:g}, validation error {mae:g} at epoch {epoch}; lower {remedy}"
+            )
+        if mae < self._best_mae:
+            self._best_mae, self.epoch = mae, epoch
+            self._best = [weight.detach().clone() for weight in self._weights]
+        if self._on_epoch is not None:
+            by_name = dict(zip(names, parts, strict=True))
+            self._on_epoch(EpochReport(epoch, self._max_epochs, loss, mae, by_name))
+
+    def restore(self) -> None:
+        """Put the best weights back."""
+        for weight, value in zip(self._weights, self._best, strict=True):
+            weight.detach().copy_(value)

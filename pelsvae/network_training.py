@@ -9,7 +9,7 @@ from torch.optim.adamw import adamw
 
 from pelsvae.config import SurrogateConfig
 from pelsvae.device import denormals_flushed
-from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.epochs import BestWeights, EpochReport
 from pelsvae.loss import LossTerms, objective
 from pelsvae.network import PelsVae
 
@@ -59,8 +59,8 @@ def train_network(
     # thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
     memory = SHORT_MEMORY if config.optimizer == "adamw" else 0.999
     step_weights = step_of_adam(weights, config.weight_decay, memory)
-    best = [weight.detach().clone() for weight in weights]
-    best_mae, best_epoch, n_done, n_steps = math.inf, 0, 0, config.max_epochs * len(starts)
+    best = BestWeights(weights, config.max_epochs, on_epoch)
+    n_done, n_steps = 0, config.max_epochs * len(starts)
 
     def step(rows: Tensor, learning_rate: float | Tensor) -> LossTerms:
         """Learn from a batch; rows has shape (b,)."""
@@ -95,24 +95,11 @@ def train_network(
         if not is_reported:
             continue
         mae = validation_error()
-        loss, *parts = sums.tolist()
-        # Checked here, as no comparison with NaN is true: the training would go on unseen.
-        if not all(map(math.isfinite, (loss, *parts, mae))):
-            raise TrainingDiverged(
-                f"loss {loss:g}, validation error {mae:g} at epoch {epoch}; lower learning_rate or beta"
-            )
-        if mae < best_mae:
-            best_mae, best_epoch = mae, epoch
-            best = [weight.detach().clone() for weight in weights]
-        if on_epoch is not None:
-            terms_by_name = dict(zip(LossTerms._fields[1:], parts, strict=True))
-            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, terms_by_name))
-        if epoch - best_epoch >= config.patience:
+        best.judge(epoch, mae, sums.tolist(), LossTerms._fields[1:], "learning_rate or beta")
+        if epoch - best.epoch >= config.patience:
             break
-    with torch.no_grad():
-        for weight, value in zip(weights, best, strict=True):
-            weight.copy_(value)
-    return best_epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
+    best.restore()
+    return best.epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
 
 
 def _replayed(step: Callable[[Tensor, float | Tensor], LossTerms], noise: torch.Generator) -> _Step:

@@ -21,17 +21,13 @@ from torch import Tensor, nn
 from pelsvae.config import SurrogateConfig
 from pelsvae.linear_network import kernels
 from pelsvae.linear_network.drive import Drive
-from pelsvae.linear_network.form import MOST_LOG, Form, modes, stores
+from pelsvae.linear_network.form import MOST_LOG, SCALE, START, UNITS, Form, modes, stores
 from pelsvae.linear_network.kernels import Floats, Ints
 from pelsvae.network import PelsVae
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 
-# Standard deviation to which outputs are scaled: an office's in K, for which the priors were chosen.
-SCALE = 3.0
 # Spread of elements between trainings with different seeds, of the order of what is not known of them.
 FIRST_DEVIATION, FIRST_POWER = 0.7, 0.02
-# Standard deviations of a first state, and of the sum of powers of time; by hand.
-START, UNITS = 10.0, 0.05
 # A standardized parameter over its half range, where it is spread evenly.
 OVER_HALF_RANGE = 3.0**-0.5
 # Logarithm of the code's variance before training, and size of the last layers: the code begins near zero.
@@ -47,7 +43,7 @@ def scaled_outputs(y: NDArray[np.float64], drive: Drive) -> OutputStandardizer:
     """
     n_times, n_columns = y.shape[1:]
     level, unit = np.zeros(n_columns), np.ones(n_columns)
-    of_output = {int(c): j for row in drive.columns for j, c in enumerate(row) if c >= 0}
+    of_output = {int(c): j for row in drive.columns for j, c in enumerate(row)}
     groups: dict[int, list[int]] = {}
     for column in range(n_columns):
         output = of_output[column]
@@ -137,6 +133,7 @@ class StateSpaceVae(PelsVae):
         is_switched = config.states == "stores"
         self.pattern = drive.pattern if is_switched else np.zeros_like(drive.pattern)
         self.n_patterns = len(drive.patterns) if is_switched else 1
+        self.places = [np.flatnonzero(self.pattern == one) for one in range(self.n_patterns)]
         self.shape = outputs.mean.shape
 
     def _set(self, name: str, value: Tensor) -> None:
@@ -191,7 +188,9 @@ class StateSpaceVae(PelsVae):
         b = (self.to_inputs @ made).reshape(self.n_patterns, s, c, n)
         cd = (self.to_outputs @ made).reshape(len(form.summed), s + c, n).float()
         first = (self.start[:, None] + starts @ self.of_start.transpose(1, 2)).transpose(1, 2)  # (e, s, n)
-        x = Walked.apply(a, b, first, self.inputs, self.pattern, drive)  # reported states (t of all, s, n)
+        x = Walked.apply(
+            a, b, first, self.inputs, self.pattern, self.places, drive
+        )  # reported states (t of all, s, n)
         parts: list[Tensor] = [x] * self.shape[1]
         begin = 0
         for place, (steps, reported) in enumerate(drive.experiments()):
@@ -206,9 +205,8 @@ class StateSpaceVae(PelsVae):
                 for output, one in zip(form.summed, sums, strict=True):
                     found.insert(output, one)
             for column, y in zip(drive.columns[place], found, strict=False):
-                if column >= 0:
-                    # A shorter experiment keeps its last values, as simulated rows do.
-                    parts[column] = torch.cat([y, y[-1:].expand(self.shape[0] - len(y), n)])
+                # A shorter experiment keeps its last values, as simulated rows do.
+                parts[column] = torch.cat([y, y[-1:].expand(self.shape[0] - len(y), n)])
         # Rows first at last: in what precedes they lie last.
         return torch.stack(parts, dim=1).reshape(-1, n).T
 
@@ -218,7 +216,14 @@ class Walked(torch.autograd.Function):
 
     @staticmethod
     def forward(  # type: ignore[override]  # torch declares any arguments
-        ctx: Any, a: Tensor, b: Tensor, first: Tensor, inputs: Floats, pattern: Ints, drive: Drive
+        ctx: Any,
+        a: Tensor,
+        b: Tensor,
+        first: Tensor,
+        inputs: Floats,
+        pattern: Ints,
+        places: list[Ints],
+        drive: Drive,
     ) -> Tensor:
         """Matrices a (r, s, s, n), b (r, s, c, n), first states (e, s, n) -> states (t of all, s, n)."""
         r, s, _, n = a.shape
@@ -233,7 +238,6 @@ class Walked(torch.autograd.Function):
         gains = np.einsum("ijrn,rjcn->rinc", integral, by_inputs).astype(np.float32).reshape(r, s * n, -1)
         # Single precision suffices for states: 1e-6 of their scale, and half the time.
         single = np.ascontiguousarray(exponential.transpose(2, 0, 1, 3), dtype=np.float32)
-        places = [np.flatnonzero(pattern == one) for one in range(r)]
         driven = np.empty((len(pattern), s, n), dtype=np.float32)
         for one, steps in enumerate(places):
             driven[steps] = _product(inputs[steps], gains[one].T).reshape(-1, s, n)
@@ -291,7 +295,7 @@ class Walked(torch.autograd.Function):
             np.ascontiguousarray(by_integral).reshape(s, s, r * n),
         )
         slopes = by_a.reshape(s, s, r, n).transpose(2, 0, 1, 3), by_b, np.stack(by_first).astype(np.float64)
-        return *(torch.from_numpy(np.ascontiguousarray(one)) for one in slopes), None, None, None
+        return *(torch.from_numpy(np.ascontiguousarray(one)) for one in slopes), None, None, None, None
 
 
 def _product(left: Floats, right: Floats) -> Floats:

@@ -1,13 +1,12 @@
 """Trains a PELS-VAE with a state-space decoder by Eq. 5 and the priors of its elements."""
 
-import math
 from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
 
 from pelsvae.config import SurrogateConfig
-from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.epochs import BestWeights, EpochReport
 from pelsvae.loss import LossTerms, objective, reconstruction
 from pelsvae.network_training import learning_rate, step_of_adam
 from pelsvae.state_space import StateSpaceVae
@@ -66,8 +65,8 @@ def train_state_space(
     weights = [*elements, *starts, *layers]
     step_elements = EigenAdam(elements).step
     step_starts, step_layers = step_of_adam(starts, 0.0), step_of_adam(layers, config.weight_decay)
-    noise, best_mae, best_epoch, epoch = FIRST_NOISE, math.inf, 0, 0
-    best = [weight.detach().clone() for weight in weights]
+    noise, epoch = FIRST_NOISE, 0
+    best = BestWeights(weights, config.max_epochs, on_epoch)
     n_steps = config.max_epochs * STEPS_PER_EPOCH
     for number in range(n_steps):
         progress = number / n_steps
@@ -86,23 +85,11 @@ def train_state_space(
         if rest or (epoch % config.validate_every and epoch < config.max_epochs):
             continue
         mae = validation_error()
-        loss, *parts = torch.stack(terms).detach().tolist()
-        if not all(map(math.isfinite, (loss, *parts, mae))):
-            raise TrainingDiverged(
-                f"loss {loss:g}, validation error {mae:g} at epoch {epoch}; lower learning_rate"
-            )
-        if mae < best_mae:
-            best_mae, best_epoch = mae, epoch
-            best = [weight.detach().clone() for weight in weights]
-        if on_epoch is not None:
-            by_name = dict(zip(LossTerms._fields[1:], parts, strict=True))
-            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, by_name))
-        if epoch - best_epoch >= config.patience:
+        best.judge(epoch, mae, torch.stack(terms).detach().tolist(), LossTerms._fields[1:], "learning_rate")
+        if epoch - best.epoch >= config.patience:
             break
-    with torch.no_grad():
-        for weight, value in zip(weights, best, strict=True):
-            weight.copy_(value)
-    return best_epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
+    best.restore()
+    return best.epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
 
 
 def _loss(

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -51,11 +50,6 @@ class Drive:
     def n_outputs(self) -> int:
         """Outputs of the model, in one experiment."""
         return int(self.columns.shape[1])
-
-    @cached_property
-    def steps_of_pattern(self) -> list[NDArray[np.int64]]:
-        """Steps in which each pattern holds."""
-        return [np.flatnonzero(self.pattern == one) for one in range(len(self.patterns))]
 
     def experiments(self) -> list[tuple[slice, NDArray[np.int64]]]:
         """Return the steps of each experiment, and which of the states around them are reported.

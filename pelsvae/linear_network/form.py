@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 
 from pelsvae.linear_network.drive import Array, Drive
 
+# Outputs are scaled to this standard deviation: an office's, in K, for which all that follows was chosen.
+SCALE = 3.0
 # Logarithms of capacities (the outputs' and others'), conductances, and couplings to inputs before anything
-# is known, and their standard deviations; for outputs with a standard deviation of 3 K, an office's. [1]
+# is known, and their standard deviations. [1]
 CAPACITIES, CONDUCTANCE, COUPLING, SPREAD = (1.0, 3.0, 2.0, 4.0, 0.0), -1.0, -4.0, 2.5
+# Standard deviations of a state at the start, and of the sum of powers of time.
+START, UNITS = 10.0, 0.05
 # Logarithm of what a sum multiplies states and inputs with.
 SUMMED = -2.0
 # Deviation of what enters as it is.
@@ -65,19 +69,17 @@ class _Elements:
             "c": (len(summed), n_states + n_inputs),
         }
         self.n_states, self.drive, self.summed = n_states, drive, summed
-        self.means, self.deviations, self.powers = list[float](), list[float](), list[float]()
+        self.means, self.powers = list[float](), list[float]()
         self.makes = list[dict[int, float]]()
         self.made = [self._nothing()]
         self.signed = list[dict[str, NDArray[np.float64]]]()
-        self.signed_means = list[float]()
 
     def _nothing(self) -> dict[str, Array]:
         return {name: np.zeros(shape) for name, shape in self.shapes.items()}
 
-    def logarithm(self, mean: float, power: float, deviation: float = SPREAD) -> int:
+    def logarithm(self, mean: float, power: float) -> int:
         self.means.append(mean)
         self.powers.append(power)
-        self.deviations.append(deviation)
         return len(self.means) - 1
 
     def rate(self, parts: dict[int, float], on: Array, places: Sequence[tuple[str, int, int, float]]) -> None:
@@ -103,7 +105,7 @@ class _Elements:
         return Form(
             self.n_states,
             np.array([*self.means, *[0.0] * n_plain]),
-            np.array([*self.deviations, *[SIGNED] * n_plain]),
+            np.array([*[SPREAD] * n_logs, *[SIGNED] * n_plain]),
             makes,
             stacked["a"],
             stacked["b"],

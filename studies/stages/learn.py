@@ -50,7 +50,7 @@ def require_tuning(task: Task) -> None:
 def written_drive(task: Task) -> tuple[str, str] | None:
     """Write what drives the case's model for workers; return the file, as declarations name it, and a digest.
 
-    None where decoders cannot know it: experiments with different communication steps.
+    None where decoders cannot know it: experiments with different inputs, outputs or communication steps.
     """
     drive = drive_of(task.case)
     if drive is None:
@@ -132,7 +132,7 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
         if (written := written_drive(task)) is not None:
             files[DRIVE], driven[DRIVE] = written
         else:
-            task.console.warn("tune: the experiments differ in their communication step: layers decode alone")
+            task.console.warn("tune: the experiments differ in inputs, outputs or step: layers decode alone")
             search = {name: one for name, one in search.items() if name in NETWORK_SPACE}
             surrogate, decoders = "refined", ("layers",)
     forms = {str(one): _settings(FORMS[str(one)], longer) for one in decoders} if "decoder" in search else {}

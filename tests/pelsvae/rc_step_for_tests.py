@@ -39,11 +39,11 @@ def rc_step(n: int, seed: int, n_outputs: int = 1) -> tuple[npt.NDArray[np.float
     return theta, np.stack([temperature, flow], axis=2)[:, :, :n_outputs]
 
 
-def step_drive() -> Drive:
-    """Return what drives the temperature of `rc_step`: 25 degC from the start on."""
-    m = len(TIME_S) - 1
+def alone(potentials: npt.NDArray[np.float64]) -> Drive:
+    """Return what drives one experiment of one output and two parameters: potentials (m, a), and no more."""
+    m = len(potentials)
     return Drive(
-        potentials=np.full((m, 1), 25.0),
+        potentials=potentials,
         sources=np.zeros((m, 0)),
         pattern=np.zeros(m, dtype=np.int64),
         patterns=np.zeros((1, 0)),
@@ -58,3 +58,8 @@ def step_drive() -> Drive:
         time_powers=np.empty(0),
         source_powers=np.empty(0),
     )
+
+
+def step_drive() -> Drive:
+    """Return what drives the temperature of `rc_step`: 25 degC from the start on."""
+    return alone(np.full((len(TIME_S) - 1, 1), 25.0))

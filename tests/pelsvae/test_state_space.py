@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rc_step_for_tests import alone
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -14,6 +15,7 @@ from pelsvae.linear_network.drive import Drive
 from pelsvae.state_space import Walked
 
 N_STEPS, SHORT = 60, 40
+PLACES = [np.arange(N_STEPS + SHORT)]  # steps of the one pattern
 SMALL = VARIANTS["state-space"].replace(max_epochs=120, n_hidden=16, n_latent=4, n_threads=1)
 
 
@@ -93,7 +95,7 @@ def test_slopes_are_those_of_differences() -> None:
     weights = torch.tensor(rng.normal(size=(N_STEPS + SHORT + 2, 2, 3)), dtype=torch.float32)
 
     def value() -> torch.Tensor:
-        return (Walked.apply(a, b, first, inputs, its.pattern, its) * weights).sum()
+        return (Walked.apply(a, b, first, inputs, its.pattern, PLACES, its) * weights).sum()
 
     value().backward()
     for one in (a, b, first):
@@ -120,6 +122,7 @@ def test_states_are_those_of_an_integrator() -> None:
         torch.tensor(np.tile(first[None, :, None], (2, 1, 1))),
         np.ascontiguousarray(its.potentials, dtype=np.float32),
         its.pattern,
+        PLACES,
         its,
     )
     at = first
@@ -168,22 +171,7 @@ def test_modes_learn_an_oscillator() -> None:
         theta = np.random.default_rng(seed).uniform([0.3, 0.02], [0.5, 0.05], (n, 2))
         return theta, (np.exp(-theta[:, 1:] * t) * np.cos(theta[:, :1] * t))[:, :, None]
 
-    free = Drive(
-        potentials=np.zeros((N_STEPS, 0)),
-        sources=np.zeros((N_STEPS, 0)),
-        pattern=np.zeros(N_STEPS, dtype=np.int64),
-        patterns=np.zeros((1, 0)),
-        step=0.5,
-        bounds=np.array([0, N_STEPS]),
-        every=np.array([1]),
-        n_before=np.array([0]),
-        columns=np.array([[0]]),
-        is_alike=np.array([True]),
-        is_start=np.zeros(2, dtype=np.bool_),
-        start_ratio=np.zeros(2),
-        time_powers=np.empty(0),
-        source_powers=np.empty(0),
-    )
+    free = alone(np.zeros((N_STEPS, 0)))
     error = {}
     for states in ("modes", "stores"):
         config = SMALL.replace(states=states, n_stores=2 if states == "modes" else 4)

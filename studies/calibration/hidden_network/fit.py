@@ -11,8 +11,9 @@ from typing import Self
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from pelsvae.linear_network.form import UNITS
 from simulation.arrays import FloatArray
-from studies.calibration.hidden_network.model import UNITS, Network, NetworkForm
+from studies.calibration.hidden_network.model import Network, NetworkForm
 
 # Neighbouring samples of a trajectory are alike: so many count as one.
 N_ALIKE = 40.0

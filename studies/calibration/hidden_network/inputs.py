@@ -31,7 +31,7 @@ def network_of_stores(case: Case) -> Drive | None:
 
 
 def drive_of(case: Case) -> Drive | None:
-    """Return what drives a case's model; None where its experiments differ in their communication step.
+    """Return what drives a case's model; None where its experiments differ in inputs, outputs or step.
 
     Args:
         case: The case, with experiments or without.
@@ -40,13 +40,14 @@ def drive_of(case: Case) -> Drive | None:
     first = members[0][1]
     steps = [float(np.diff(one.scenario.time_communication[:2])[0]) for _, one in members]
     models = [[output.name for output in one.outputs] for _, one in members]
-    if max(steps) > min(steps) or any(set(names) != set(models[0]) for names in models):
+    inputs_alike = len({one.scenario.input_names for _, one in members}) == 1
+    if max(steps) > min(steps) or not inputs_alike or any(set(names) != set(models[0]) for names in models):
         return None
     names = models[0]
     unit = in_si(first.outputs[0].unit)
     lengths = [len(one.scenario.inputs) for _, one in members]
     n_steps = sum(lengths)
-    columns = np.full((len(members), len(names)), -1, dtype=np.int64)
+    columns = np.empty((len(members), len(names)), dtype=np.int64)
     for place, (experiment, one) in enumerate(members):
         where = range(len(names)) if experiment is None else experiment.outputs
         for column, output in zip(where, one.outputs, strict=True):

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from pelsvae.linear_network.drive import Drive
+from pelsvae.linear_network.form import CAPACITIES, CONDUCTANCE, COUPLING, MOST_LOG, SPREAD, START
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.hidden_network.steps import steps
@@ -17,15 +18,8 @@ from studies.calibration.hidden_network.steps import steps
 # States beside the outputs. Three or four for one output fitted offices alike (docs/notes/adaptive-search.md,
 # A hidden network).
 N_HIDDEN = 3
-# Outputs are scaled to this standard deviation: an office's, in K, for which all that follows was chosen.
-SCALE = 3.0
-# Logarithms of capacities (the outputs' and others'), conductances, and couplings to inputs before anything
-# is known, and their standard deviations. [1]
-CAPACITIES, CONDUCTANCE, COUPLING, SPREAD = (1.0, 3.0, 2.0, 4.0, 0.0), -1.0, -4.0, 2.5
-# Standard deviations of a power, of a state at the start and its factors, and of the sum of powers of time.
-POWER, START, FACTOR, UNITS = 0.5, 10.0, 1.0, 0.05
-# Logarithms beyond which a rate is limited. Rounding.
-MOST_LOG = 25.0
+# Standard deviations of a power, and of the factors of a state at the start.
+POWER, FACTOR = 0.5, 1.0
 
 
 @dataclass(frozen=True, eq=False)

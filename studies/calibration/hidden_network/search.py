@@ -7,11 +7,12 @@ what it has not explained after the first design it leaves to the processes of t
 import numpy as np
 
 from pelsvae.linear_network.drive import Drive
+from pelsvae.linear_network.form import SCALE
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.box_newton import SAME_POINT
 from studies.calibration.descent import Descents
 from studies.calibration.hidden_network.fit import Fit, first_guess, improved
-from studies.calibration.hidden_network.model import SCALE, Network, NetworkForm
+from studies.calibration.hidden_network.model import Network, NetworkForm
 from studies.calibration.problem import CalibrationProblem, Evaluation
 
 # Most steps of the first fit, in parts, and of each later one; shares of the outputs' standard deviation that
