@@ -27,11 +27,20 @@ class DataBudget:
         n_train: training-set sizes, ascending; one nested design serves all of them.
         n_validation: simulations that choose epochs and hyperparameters.
         n_test: simulations that only judge.
+        folds: parts of the training rows, each of which judges surrogates of the other rows; there is then no
+            validation set and no test set.
     """
 
     n_train: tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...]
     n_validation: Count = 320
     n_test: Count = 320
+    folds: Annotated[int, Field(ge=2, le=100)] | None = None
+
+    @property
+    def sets(self) -> dict[str, int]:
+        """Rows of each set that is simulated."""
+        judging = {"validation": self.n_validation, "test": self.n_test} if self.folds is None else {}
+        return {"train": max(self.n_train), **judging}
 
     def __post_init__(self) -> None:
         if not self.n_train or list(self.n_train) != sorted(set(self.n_train)):

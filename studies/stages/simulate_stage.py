@@ -37,24 +37,19 @@ def train_seed(seed: int) -> int:
 
 def set_seeds(profile: Profile) -> dict[str, int]:
     """Return the seed of each set's design."""
-    return {"train": train_seed(profile.seed), "validation": VALIDATION_SEED, "test": TEST_SEED}
-
-
-def set_sizes(profile: Profile) -> dict[str, int]:
-    """Return the rows of each set."""
-    data = profile.data
-    return {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
+    seeds = {"train": train_seed(profile.seed), "validation": VALIDATION_SEED, "test": TEST_SEED}
+    return {name: seeds[name] for name in profile.data.sets}
 
 
 def _designs(task: Task) -> dict[str, FloatArray]:
     """Return the parameters of each set. Shape (n, p) each. [per parameter]."""
     space, seeds = task.case.parameter_space, set_seeds(task.profile)
-    return {name: uniform_design(space, n, seeds[name]) for name, n in set_sizes(task.profile).items()}
+    return {name: uniform_design(space, n, seeds[name]) for name, n in task.profile.data.sets.items()}
 
 
 def simulate_stage(task: Task) -> Outcome[SimulatedSets]:
     """Simulate the nested training design, the validation and the test set."""
-    sizes, designs = set_sizes(task.profile), _designs(task)
+    sizes, designs = task.profile.data.sets, _designs(task)
     total, store = sum(sizes.values()), store_file(task.paths, task.case)
     inputs = {
         "case": task.case.digest,
