@@ -22,7 +22,7 @@ def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:
     ended = [
         (
             n_train, trial.state, trial.value,
-            *(trial.metrics.get(f"{one.spec.judged_by}/{name}") for name in ("mae", "p90")),
+            trial.metrics.get(f"{one.spec.judged_by}/mae"), trial.metrics.get(f"{one.spec.judged_by}/p90"),
             trial is one.best,
         )
         for n_train, one in studies.items()

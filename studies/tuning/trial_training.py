@@ -204,7 +204,11 @@ def _judged(
 ) -> dict[str, float]:
     """Return the errors of predictions (n, t, k), their names beginning with `name`. [output's unit]."""
     error = errors(predicted, y, np.array(spec.output_scales))
+    scales = np.array(spec.output_scales)
+    left, varies = (float(np.square(one * scales).sum()) for one in (predicted - y, y - y.mean(axis=0)))
     judged = {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
+    # Part of the variance that is not explained.
+    judged[f"{name}/unexplained"] = left / varies if varies > 0.0 else 1.0
     if len(spec.output_names) > 1:
         by_output = np.abs(predicted - y).mean(axis=(0, 1))
         for output, mae in zip(spec.output_names, by_output, strict=True):
