@@ -120,8 +120,13 @@ class Declaration:
 
     @property
     def data(self) -> tuple[Any, ...]:
-        """What two studies share whose errors are compared: the label and the data sets."""
-        return self.label, self.n_train, *sorted(one for one in self.digests.items() if one[0] != DRIVE)
+        """What two studies share whose errors are compared: the label, the data sets, what errors weigh."""
+        digests = sorted(one for one in self.digests.items() if one[0] != DRIVE)
+        return self.label, self.n_train, self.output_scales, *digests
+
+    def has_equal_data(self, other: "Declaration") -> bool:
+        """Say whether errors of two studies compare and neither is the other's baseline."""
+        return (self.is_baseline, self.data) == (other.is_baseline, other.data)
 
     @property
     def model_name(self) -> str:
