@@ -22,7 +22,7 @@ class EpochReport:
         max_epochs: Epochs at most.
         train_loss: Eq. 5, mean over the epoch's batches; of processes minus the logarithm of posterior
             density per row. [1]
-        validation_mae: Mean absolute error on the validation set. [output's unit]
+        validation_mae: Mean absolute error on the validation set; NaN without one. [output's unit]
         terms: Terms of the training loss by name, such as "kl" and "reconstruction"; empty for processes. [1]
     """
 
@@ -48,17 +48,18 @@ class BestWeights:
         """
         self._weights, self._max_epochs, self._on_epoch = weights, max_epochs, on_epoch
         self._best = [weight.detach().clone() for weight in weights]
-        self._best_mae = math.inf
+        self._least = math.inf
         self.epoch = 0  # the best one
 
     def judge(
-        self, epoch: int, mae: float, terms: "Sequence[float]", names: Sequence[str], remedy: str
+        self, epoch: int, mae: float | None, terms: "Sequence[float]", names: Sequence[str], remedy: str
     ) -> None:
         """Take note of a validated epoch.
 
         Args:
             epoch: Its number, from 1.
-            mae: Its validation error. [output's unit]
+            mae: Its validation error; None without a validation set: the last epoch is then the best.
+                [output's unit]
             terms: The loss, then its terms.
             names: Of the terms.
             remedy: What to change where it diverged.
@@ -68,16 +69,18 @@ class BestWeights:
         """
         loss, *parts = terms
         # Checked here, as no comparison with NaN is true: the training would go on unseen.
-        if not all(map(math.isfinite, (loss, *parts, mae))):
-            raise TrainingDiverged(
-                f"loss {loss:g}, validation error {mae:g} at epoch {epoch}; lower {remedy}"
-            )
-        if mae < self._best_mae:
-            self._best_mae, self.epoch = mae, epoch
+        rank = -float(epoch) if mae is None else mae
+        if not all(map(math.isfinite, (loss, *parts, rank))):
+            error = "" if mae is None else f", validation error {mae:g}"
+            raise TrainingDiverged(f"loss {loss:g}{error} at epoch {epoch}; lower {remedy}")
+        if rank < self._least:
+            self._least, self.epoch = rank, epoch
             self._best = [weight.detach().clone() for weight in self._weights]
         if self._on_epoch is not None:
             by_name = dict(zip(names, parts, strict=True))
-            self._on_epoch(EpochReport(epoch, self._max_epochs, loss, mae, by_name))
+            self._on_epoch(
+                EpochReport(epoch, self._max_epochs, loss, math.nan if mae is None else mae, by_name)
+            )
 
     def restore(self) -> None:
         """Put the best weights back."""

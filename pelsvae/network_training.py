@@ -28,7 +28,7 @@ def train_network(
     theta: Tensor,
     x: Tensor,
     *,
-    validation_error: Callable[[], float],
+    validation_error: Callable[[], float | None],
     generator: torch.Generator,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> tuple[int, int, str]:
@@ -39,7 +39,8 @@ def train_network(
         config: Batches, draws, optimizer, epochs.
         theta: Features of theta. Shape (n, f). [1]
         x: Standardized trajectories. Shape (n, d). [1]
-        validation_error: Judges the network as it stands.
+        validation_error: Judges the network as it stands; None where nothing does, and patience waits for
+            nothing.
         generator: Of the order of the batches; its seed is that of the draws too.
         on_epoch: Called after each validated epoch.
 

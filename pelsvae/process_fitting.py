@@ -29,23 +29,24 @@ _LEFT_OUT = 1e-5  # part of the variance outside the basis
 def fit_processes(
     config: SurrogateConfig,
     training: tuple[Tensor, Tensor],
-    validation: tuple[Tensor, Tensor],
+    validation: tuple[Tensor, Tensor] | None,
     *,
-    validation_error: Callable[[LinearVae], float],
+    validation_error: Callable[[LinearVae], float | None],
     seed: int,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> LinearVae:
     """Fit principal components and the Gaussian processes of their coordinates.
 
-    Many kernels are searched for, on few rows first; the validation set says what each counts in each code.
+    Many kernels are searched for, on few rows first; the validation set says what each counts in each code,
+    or, without one, every training row where it is left out.
 
     Args:
         config: Scales, degree, members and iterations.
         training: Features of theta, in random order, and standardized trajectories, float64. Shapes (n, f)
             and (n, d). [1]
-        validation: As training, of rows that say what each kernel's process is worth. Shapes (b, f) and
-            (b, d). [1]
-        validation_error: Judges a network.
+        validation: As training, of rows that say what each kernel's process is worth; None for the training
+            rows. Shapes (b, f) and (b, d). [1]
+        validation_error: Judges a network; None where nothing does.
         seed: Of the searches' starts.
         on_epoch: Called with searches, in parts of `max_epochs`, whose errors are of a part of the rows; last
             with the error of what is returned, and the loss of the likeliest kernel of all codes.
@@ -61,10 +62,10 @@ def fit_processes(
 
     def report(network: LinearVae, loss: float, epoch: int) -> None:
         mae = validation_error(network)
-        if not math.isfinite(loss + mae):
-            raise TrainingDiverged(f"loss {loss:g}, validation error {mae:g} at epoch {epoch}")
+        if not math.isfinite(loss + (mae or 0.0)):
+            raise TrainingDiverged(f"loss {loss:g}, validation error {mae} at epoch {epoch}")
         if on_epoch is not None:
-            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
+            on_epoch(EpochReport(epoch, config.max_epochs, loss, math.nan if mae is None else mae))
 
     keep_freed_memory()
     # Threads of the optimizer's small linear algebra would wait for each other most of the time.
@@ -84,7 +85,7 @@ def fit_processes(
                 report(alone, one.loss, epoch)
         # By place, so the result does not depend on the order in which searches end.
         found.sort(key=lambda one: one.place)
-        known = validation[0], validation[1] @ basis.T
+        known = None if validation is None else (validation[0], validation[1] @ basis.T)
         network = _assembled(rows, basis, *_members(rows, known, found, config.n_members))
         of_all_codes = next(one.loss for one in found if one.is_final)
         report(network, of_all_codes, config.max_epochs)
@@ -111,6 +112,16 @@ class _Rows:
         """Return the first n rows; all are these."""
         return self if n >= len(self) else _Rows(self.kernel, self.features[:n], self.codes[:n])
 
+    def left_out(self, hyper: Array) -> Array:
+        """Return each row's codes as a process of all other rows predicts them. Shape (n, z).
+
+        Rasmussen and Williams 2006, eq. 5.12.
+        """
+        at = torch.from_numpy(hyper).to(self.features.device)
+        inverse = torch.cholesky_inverse(torch.linalg.cholesky(self.kernel.noisy(at, self.features)))
+        predicted = self.codes - (inverse @ self.codes) / inverse.diagonal()[:, None]
+        return np.asarray(predicted.cpu().numpy())
+
     def solved(self, hyper: Array) -> Tensor:
         """Return the inverse of a process's covariances times the codes. Shape (n, z)."""
         # A fit once factorized the same 4,096 rows three times.
@@ -126,11 +137,13 @@ class _Rows:
 
 def _members(
     rows: _Rows,
-    validation: tuple[Tensor, Tensor],
+    validation: tuple[Tensor, Tensor] | None,
     found: list[Candidate],
     n_members: int,
 ) -> tuple[Array, Array]:
     """Choose members by the validation set, whose codes are known as the training set's are.
+
+    Without one by the training rows, each where it is left out.
 
     Returns:
         Hyperparameters of the members, shape (m, h), and their shares in the codes, shape (m, z).
@@ -138,7 +151,7 @@ def _members(
     n, z = rows.codes.shape
     if n < MANY_ROWS:
         found = [*found, *_stretched(rows.kernel, found)]
-    hypers, true = np.array([one.hyper for one in found]), validation[1].cpu().numpy()
+    hypers = np.array([one.hyper for one in found])
     believed = np.zeros((len(found), z))
     for place, one in enumerate(found):
         believed[place, one.columns] = one.is_final
@@ -146,8 +159,12 @@ def _members(
     # On few rows first, as each candidate costs a factorization, n³; the shares then follow from all rows.
     n_rows = min(n, CHOOSING_ROWS)
     while True:
-        predicted = _predicted(rows.first(n_rows), validation[0], hypers)
-        chosen = best_shares(predicted, true, believed, n_most)
+        part = rows.first(n_rows)
+        if validation is None:
+            predicted, true = np.array([part.left_out(hyper) for hyper in hypers]), part.codes
+        else:
+            predicted, true = _predicted(part, validation[0], hypers), validation[1]
+        chosen = best_shares(predicted, true.cpu().numpy(), believed, n_most)
         hypers, believed = hypers[chosen.members], believed[chosen.members]
         # A single member counts 1 whatever the rows.
         if n_rows == n or len(hypers) == 1:

@@ -33,7 +33,7 @@ def train_state_space(
     theta: Tensor,
     x: Tensor,
     *,
-    validation_error: Callable[[], float],
+    validation_error: Callable[[], float | None],
     generator: torch.Generator,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> tuple[int, int, str]:
@@ -47,7 +47,7 @@ def train_state_space(
         config: Batches, optimizer, epochs.
         theta: Features of theta. Shape (n, f). [1]
         x: Scaled trajectories. Shape (n, d). [1]
-        validation_error: Judges the network as it stands.
+        validation_error: Judges the network as it stands; None where nothing does.
         generator: Of batches and draws.
         on_epoch: Called after each validated epoch.
 

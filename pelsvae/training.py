@@ -29,7 +29,7 @@ class FitResult:
     """A trained surrogate and how it came about.
 
     Attributes:
-        surrogate: With the weights of the best validated epoch.
+        surrogate: With the weights of the best validated epoch; of the last one without a validation set.
         best_epoch: Epoch whose weights were kept, from 1.
         n_epochs: Epochs done.
         stop_reason: "max_epochs" or "patience"; "fitted" for processes.
@@ -44,7 +44,7 @@ class FitResult:
 def fit(
     theta: npt.ArrayLike,
     y: npt.ArrayLike,
-    validation: tuple[npt.ArrayLike, npt.ArrayLike],
+    validation: tuple[npt.ArrayLike, npt.ArrayLike] | None,
     *,
     config: SurrogateConfig,
     seed: int,
@@ -61,7 +61,8 @@ def fit(
     Args:
         theta: Training parameters. Shape (n, p). [per parameter]
         y: Training trajectories. Shape (n, t, k). [output's unit]
-        validation: Parameters and trajectories that decide when to stop. Shapes (m, p), (m, t, k).
+        validation: Parameters and trajectories that decide when to stop; None to train to the last epoch, and
+            to choose kernels by each row's error where it is left out. Shapes (m, p), (m, t, k).
         config: Network and training.
         seed: Of initial weights, batches and draws; the same seed gives the same surrogate on a machine.
         log_columns: Parameters whose logarithm is a feature too, for theta_features "linear+log"; None
@@ -80,15 +81,17 @@ def fit(
         TrainingDiverged: The loss or the validation error became NaN or infinite.
     """
     theta, y = _checked(theta, y, "training")
-    theta_validation, y_validation = _checked(*validation, "validation")
+    judging = None if validation is None else _checked(*validation, "validation")
     if config.regressor == "gaussian-process" and len(theta) > 1 and (theta == theta[0]).all():
         raise ValueError(f"all {len(theta)} training rows have the same parameters; a process learns nothing")
-    if theta.shape[1:] != theta_validation.shape[1:] or y.shape[1:] != y_validation.shape[1:]:
+    if judging is not None and (theta.shape[1:], y.shape[1:]) != tuple(one.shape[1:] for one in judging):
         raise ValueError(
-            f"validation has shapes {theta_validation.shape} and {y_validation.shape}, "
+            f"validation has shapes {judging[0].shape} and {judging[1].shape}, "
             f"which do not go with training's {theta.shape} and {y.shape}"
         )
-    log = _log_columns(log_columns, config, theta, theta_validation)
+    # Validation rows too, as they are predicted by the same logarithms.
+    rows_of_all = theta if judging is None else np.concatenate([theta, judging[0]])
+    log = _log_columns(log_columns, config, rows_of_all)
     theta_map, output_map = ThetaStandardizer.fit(theta, log), OutputStandardizer.fit(y)
     if config.regressor != "network" or config.decoder == "layers":
         drive = None
@@ -102,8 +105,10 @@ def fit(
     def surrogate_of(network: PelsVae | LinearVae, eps: Tensor) -> Surrogate:
         return Surrogate(config, network, eps, theta_map, output_map)
 
-    def validation_error(surrogate: Surrogate) -> float:
-        return errors(surrogate.predict(theta_validation), y_validation, output_scales).mae
+    def validation_error(surrogate: Surrogate) -> float | None:
+        if judging is None:
+            return None
+        return errors(surrogate.predict(judging[0]), judging[1], output_scales).mae
 
     def prepared(theta: Array, y: Array, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
         features = theta_map.features(torch.from_numpy(theta), dtype)  # (n, f)
@@ -135,7 +140,7 @@ def fit(
                 config,
                 # Double: in single precision errors were up to a third of the deviation at n = 1,024.
                 prepared(theta, y, torch.float64),
-                prepared(theta_validation, y_validation, torch.float64),
+                None if judging is None else prepared(*judging, torch.float64),
                 validation_error=lambda network: validation_error(surrogate_of(network, network.no_draw)),
                 seed=seed,
                 on_epoch=on_epoch,
@@ -160,21 +165,17 @@ def _checked(theta: npt.ArrayLike, y: npt.ArrayLike, what: str) -> tuple[Array, 
     return theta, y
 
 
-def _log_columns(
-    asked: npt.ArrayLike | None, config: SurrogateConfig, theta: Array, theta_validation: Array
-) -> npt.NDArray[np.bool_]:
-    """Return which columns of theta get a logarithm. Shape (p,)."""
+def _log_columns(asked: npt.ArrayLike | None, config: SurrogateConfig, theta: Array) -> npt.NDArray[np.bool_]:
+    """Return which columns of all rows' theta get a logarithm. Shape (p,)."""
     if config.theta_features == "linear":
         return np.zeros(theta.shape[1], dtype=bool)
     if asked is None:
-        # Validation rows too, as they are predicted by the same logarithms.
-        positive: npt.NDArray[np.bool_] = np.concatenate([theta, theta_validation]).min(axis=0) > 0.0
+        positive: npt.NDArray[np.bool_] = theta.min(axis=0) > 0.0
         return positive
     log = np.array(asked)
     if log.dtype != np.bool_ or log.shape != (theta.shape[1],):
         raise ValueError(
             f"log_columns must be {theta.shape[1]} booleans, got shape {log.shape} of {log.dtype}"
         )
-    for rows in (theta, theta_validation):
-        require_positive(rows, np.flatnonzero(log))
+    require_positive(theta, np.flatnonzero(log))
     return log

@@ -22,6 +22,7 @@ WORDS = {
     "sensitivity": "simulations for Sobol indices, at most",
     "polish": "simulations for polishing, at most",
     "search": "simulations, at most",
+    "budget": "simulations of the whole run, at most",
 }
 N_TIMED, QUICK_S = 4, 1.0
 """Simulations that are timed where none was before, of those that take less than a second; else one."""
@@ -112,7 +113,10 @@ def time_simulations(task: Task) -> Timed:
 def _simulations(task: Task, command: str, given: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
     """Give how many simulations are left, or may be asked at most, by stage."""
     n_polish, n_parameters = task.profile.polish.max_calls, task.case.parameter_space.n_parameters
-    if command != "calibrate":
+    budget = task.profile.budget.simulations
+    if command == "run" and budget is not None:
+        yield "budget", budget
+    elif command != "calibrate":
         yield "simulate", missing_rows(task)[0]
         if command == "run":
             yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)

@@ -102,6 +102,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "window": window,
     "n_train": whole(4),
     "trials": whole(1),
+    "simulations": whole(16),
     "parallel": whole(1, 1000),
     "max_hours": positive,
     "max_calls": whole(1),

@@ -10,11 +10,20 @@ from simulation.errors import InputError, MachineError
 from studies.keywords import Window, as_text, window
 from studies.paths import find_case, find_project, mark_project
 from studies.words.console import Console
+from studies.words.wording import count
 
 if TYPE_CHECKING:
     from simulation.case import Case
     from studies.profile import Profile
     from studies.task import Task
+
+
+FOLDS = 5
+"""Of a cross-validation where a profile does not say how many."""
+LEAST_SIZE = 8
+"""Rows that a surrogate is learnt from at least."""
+LEAST_BEYOND, LEAST_POLISH = 16, 6
+"""Simulations of a budget at least beyond one per parameter, and beyond the largest training set."""
 
 
 def open_task(verb: str, given: Mapping[str, Any], console: Console, typed: str) -> "Task":
@@ -42,6 +51,9 @@ def open_task(verb: str, given: Mapping[str, Any], console: Console, typed: str)
     case, part = _load_case(file, _window(given.get("window")))
     label = f"{case.name}-{profile.name}" + ("" if part is None else f"-{part.label}")
     label += f"-seed{changed.seed}" if changed.seed != profile.seed else ""
+    if (n := changed.budget.simulations) != profile.budget.simulations:
+        label += f"-sim{n}"
+    changed = sized(changed, case)
     is_other = changed.tuning.surrogate != profile.tuning.surrogate
     task = Task(
         case=case,
@@ -82,6 +94,8 @@ def _window(value: Any) -> Window | None:
 
 def _changed(profile: "Profile", verb: str, keywords: Mapping[str, Any]) -> "Profile":
     """Return a profile with what keywords change in it."""
+    from studies.profile import Budget
+
     given = {name: value for name, value in keywords.items() if value is not None}
     data, tuning, polish = profile.data, profile.tuning, profile.polish
     if "n_train" in given and verb not in ("calibrate", "uncertainty", "predict"):
@@ -94,7 +108,41 @@ def _changed(profile: "Profile", verb: str, keywords: Mapping[str, Any]) -> "Pro
     if "max_calls" in given and verb != "uncertainty":
         polish = replace(polish, max_calls=given["max_calls"])
     seed = given.get("seed", profile.seed)
-    return replace(profile, seed=seed, data=data, tuning=tuning, polish=polish)
+    changed = replace(profile, seed=seed, data=data, tuning=tuning, polish=polish)
+    if "simulations" in given:
+        data = data if "n_train" in given else replace(data, n_train=())
+        return replace(changed, budget=Budget(given["simulations"]), data=data)
+    return changed
+
+
+def sized(profile: "Profile", case: "Case") -> "Profile":
+    """Return a profile with the training-set sizes that follow from its budget, where it names none.
+
+    They double from about as many rows as there are parameters, up to half of the budget, so that the other
+    half is left to polish. Surrogates are judged by cross-validation, as no simulation is left to judge.
+
+    Raises:
+        InputError: the budget does not hold the sizes.
+    """
+    n, p = profile.budget.simulations, case.parameter_space.n_parameters
+    if n is None:
+        return profile
+    if n < p + LEAST_BEYOND:
+        raise InputError(
+            f"--simulations {n} is not enough for {count(p, 'parameter')}; give {p + LEAST_BEYOND} or more"
+        )
+    n_train = profile.data.n_train
+    if not n_train:
+        first = max(LEAST_SIZE, 1 << (p + 2).bit_length() - 1)
+        doubled = [first << step for step in range(n.bit_length())]
+        n_train = tuple(one for one in doubled if one == first or one <= n // 2)
+    if max(n_train) + LEAST_POLISH > n:
+        raise InputError(
+            f"--n-train {max(n_train)} leaves too little of --simulations {n}; give a smaller size, "
+            f"or --simulations {max(n_train) + LEAST_POLISH}"
+        )
+    data = replace(profile.data, n_train=n_train, folds=profile.data.folds or FOLDS)
+    return replace(profile, data=data)
 
 
 def _load_case(file: Path, part: Window | None) -> "tuple[Case, Window | None]":
@@ -121,6 +169,8 @@ def _command(given: Mapping[str, Any], part: Window | None) -> str:
     words = [str(given["case"])]
     if given["profile"] != "quick":
         words += ["--profile", str(given["profile"])]
+    if simulations := given.get("simulations"):
+        words += ["--simulations", str(simulations)]
     if surrogate := given.get("surrogate"):
         words += ["--surrogate", surrogate]
     if part is not None:

@@ -80,6 +80,8 @@ def open_physical_model(
         policy, warn = policy or case.policy, task.console.warn
         pool = PoolModel(case.make_model, n_jobs, policy=policy, executor=executor, on_warning=warn)
         model = opened.enter_context(pool)
+        # So few simulations that none has to be repeated to prove that it forgets the one before.
+        model.always_new = task.profile.is_budgeted
         stored = StoredModel(model, stores[0], retry_failed=task.retry_failed)
         if case.layout is not None:
             store = JoinedStore(store_file(task.paths, case), stores, case.layout)

@@ -24,18 +24,40 @@ class DataBudget:
     """How often the physical model is simulated for the surrogate.
 
     Args:
-        n_train: training-set sizes, ascending; one nested design serves all of them.
+        n_train: training-set sizes, ascending; one nested design serves all of them. With a budget they may
+            be left out: they then follow from it.
         n_validation: simulations that choose epochs and hyperparameters.
         n_test: simulations that only judge.
+        folds: parts of the training rows, each of which judges surrogates of the other rows; there is then no
+            validation set and no test set.
     """
 
-    n_train: tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...]
+    n_train: tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...] = ()
     n_validation: Count = 320
     n_test: Count = 320
+    folds: Annotated[int, Field(ge=2, le=100)] | None = None
+
+    @property
+    def sets(self) -> dict[str, int]:
+        """Rows of each set that is simulated."""
+        judging = {"validation": self.n_validation, "test": self.n_test} if self.folds is None else {}
+        return {"train": max(self.n_train), **judging}
 
     def __post_init__(self) -> None:
-        if not self.n_train or list(self.n_train) != sorted(set(self.n_train)):
+        if list(self.n_train) != sorted(set(self.n_train)):
             raise ValueError(f"n_train must be ascending sizes without repetition, got {list(self.n_train)}")
+
+
+@dataclass(frozen=True, config=STRICT)
+class Budget:
+    """How many simulations all stages of a run may take together.
+
+    Args:
+        simulations: how many; None for no limit but those of the stages. With a limit surrogates are judged
+            by cross-validation, and Sobol indices are the surrogate's.
+    """
+
+    simulations: Annotated[int, Field(ge=16, le=1_000_000)] | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -156,6 +178,7 @@ class Profile:
         tuning: budget of Optuna's studies.
         screening: budget of differential evolution.
         polish: budget of the polish.
+        budget: budget of all stages together.
         schema: version of this form.
     """
 
@@ -165,9 +188,19 @@ class Profile:
     sensitivity: SensitivityBudget = Field(default_factory=SensitivityBudget)
     screening: ScreeningBudget = Field(default_factory=ScreeningBudget)
     polish: PolishBudget = Field(default_factory=PolishBudget)
+    budget: Budget = Field(default_factory=Budget)
     note: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     schema: Literal[1] = 1
+
+    def __post_init__(self) -> None:
+        if self.budget.simulations is None and not self.data.n_train:
+            raise ValueError("data.n_train is missing; give sizes, or budget.simulations")
+
+    @property
+    def is_budgeted(self) -> bool:
+        """Whether the simulations of a run are limited."""
+        return self.budget.simulations is not None
 
 
 _READER = TypeAdapter(Profile)

@@ -4,6 +4,7 @@ What the run says is compared with the project, never written into it: the case 
 they were.
 """
 
+import math
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -203,6 +204,8 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
     is_pruned, seen = run.data.tags.get("pruned") == "True", dict[int, float]()
 
     def on_epoch(report: Any) -> None:
+        if math.isnan(report.validation_mae):  # between the folds of a cross-validation nothing is judged
+            return
         seen[report.epoch] = report.validation_mae
         if is_pruned and report.epoch >= max(history, default=0):
             raise _LastEpochError

@@ -219,6 +219,7 @@ def calibrate(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -244,6 +245,7 @@ def calibrate(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.

@@ -21,6 +21,7 @@ from studies.words.console import Console
 if TYPE_CHECKING:
     import pandas as pd
 
+    from studies.stages.budget_stage import Spent
     from studies.task import Task
 
 
@@ -84,7 +85,13 @@ class TuningResult:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult(CalibrationResult):
-    """All that `studies run` came to; itself it is the calibration of least error."""
+    """All that `studies run` came to; itself it is the calibration of least error.
+
+    Attributes:
+        spent: What it took of its budget of simulations; None without one.
+    """
+
+    spent: "Spent | None" = None
 
     @property
     def calibrations(self) -> list[CalibrationResult]:
@@ -112,6 +119,7 @@ def simulate(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -127,6 +135,7 @@ def simulate(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.
@@ -155,6 +164,7 @@ def sensitivity(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -170,6 +180,7 @@ def sensitivity(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.
@@ -186,7 +197,7 @@ def sensitivity(
         StageError: A stage failed.
     """
     task = opened("sensitivity", locals())
-    from studies.stages.simulate_stage import sensitivity_stage
+    from studies.stages.sensitivity_stage import sensitivity_stage
 
     return SensitivityResult(task, sensitivity_stage(task))
 
@@ -202,6 +213,7 @@ def tune(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -221,6 +233,7 @@ def tune(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.
@@ -258,6 +271,7 @@ def run(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -279,6 +293,7 @@ def run(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.
@@ -300,10 +315,19 @@ def run(
     from studies.stages.check_stage import check_stage
     from studies.stages.learn import require_tuning, tune_stage
     from studies.stages.report_stage import report_stage
-    from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
+    from studies.stages.sensitivity_stage import sensitivity_stage
+    from studies.stages.simulate_stage import simulate_stage
 
     require_tuning(task)
     polisher(task.profile)
+    if task.profile.is_budgeted:
+        from studies.doctor.begin import say_begin
+        from studies.stages.budget_stage import run_within_budget
+
+        say_begin(task.case, task.console)
+        stages, spent = run_within_budget(task, again=again)
+        stages = (*stages, report_stage(task))
+        return RunResult(task, stages, best_of(task, stages).outcome, spent)
     checked = check_stage(task)
     if not checked.result.is_sound:
         raise UnsoundError(CheckResult(task, checked))

@@ -102,6 +102,7 @@ def check(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     jobs: int | None = None,
     storage: str | None = None,
@@ -116,6 +117,7 @@ def check(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         jobs: Processes; None for the number of cores.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
@@ -148,6 +150,7 @@ def uncertainty(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -168,6 +171,7 @@ def uncertainty(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.
@@ -225,6 +229,7 @@ def predict(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     retry_failed: bool = False,
     jobs: int | None = None,
@@ -244,6 +249,7 @@ def predict(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         retry_failed: Simulate failed simulations again.
         jobs: Processes; None for the number of cores.
@@ -307,6 +313,7 @@ def report(
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
+    simulations: int | None = None,
     surrogate: Surrogate | None = None,
     jobs: int | None = None,
     storage: str | None = None,
@@ -320,6 +327,7 @@ def report(
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
         surrogate: Form of the surrogate; None for the profile's.
         jobs: Processes; None for the number of cores.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.

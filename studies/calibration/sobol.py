@@ -1,7 +1,7 @@
 """Sobol indices of every output at every time step."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -37,6 +37,7 @@ class SobolIndices:
         n_base: Saltelli blocks asked for; each has p + 2 rows.
         n_dropped: Blocks left out because one of their rows failed.
         n_calls: Rows asked of the model.
+        n_train: Training-set size of the surrogate that was asked; None where it was the model itself.
     """
 
     # For whoever stores it: its fields are arrays.
@@ -53,6 +54,7 @@ class SobolIndices:
     n_base: int
     n_dropped: int
     n_calls: int
+    n_train: int | None = None
 
     def order(self, output: int = 0) -> tuple[int, ...]:
         """Return the parameters' positions, most influential first by mean first order, as in Fig. 5."""
@@ -115,6 +117,32 @@ def sobol_indices(
         n_base=n_base,
         n_dropped=n_base - int(good.sum()),
         n_calls=len(theta),
+    )
+
+
+def with_error_of_surrogate(found: SobolIndices, n_train: int, unexplained: float) -> SobolIndices:
+    """Return the indices of a surrogate with intervals that also hold what it does not explain.
+
+    Where the error is independent of the prediction, it adds a variance of `unexplained` times the output's.
+    That part is spread over the p parameters alike: an index S so changes by about 2 sqrt(S u) + u with
+    u = unexplained / p.
+
+    Args:
+        found: The surrogate's indices.
+        n_train: Its training-set size.
+        unexplained: Part of the variance that it leaves, by rows that it was not trained on. [1]
+    """
+    share = max(unexplained, 0.0) / len(found.names)
+
+    def widened(index: FloatArray, half_width: FloatArray) -> FloatArray:
+        more = 2.0 * np.sqrt(np.maximum(index, 0.0) * share) + share
+        return np.asarray(np.hypot(half_width, more))
+
+    return replace(
+        found,
+        n_train=n_train,
+        first_order_ci=widened(found.first_order, found.first_order_ci),
+        total_order_ci=widened(found.total_order, found.total_order_ci),
     )
 
 

@@ -51,6 +51,11 @@ CASE = (
         help="days of the recording, e.g. 8-16, or with a unit: 0-10s, 2-8h; default: the case's own",
     ),
     Option(
+        "--simulations",
+        metavar="N",
+        help="most simulations of a whole run; surrogates are then cross-validated; default: the profile's",
+    ),
+    Option(
         "--surrogate",
         help="refined: a PELS-VAE of networks (default); paper: the same with the settings of the paper; "
         "pca-gp: PCA and Gaussian processes",

@@ -5,11 +5,16 @@ dimension, the width of the hidden layers and beta of a PELS-VAE for each traini
 stage is skipped; an interrupted stage goes on where it stopped. The report is
 mlruns/reports/<label>/index.html.
 
+With --simulations N the whole run takes at most N simulations. Training sets grow from about one row per
+parameter on, until two lead to the same error or N is spent. Surrogates are judged by cross-validation, Sobol
+indices are those of the last one, and no check is made before: `studies check` has its own simulations.
+
 Examples:
   studies run                              the office, quick profile
   studies run --dry-run                    the plan and known durations
   studies run office-recorded --seed 3
   studies run office --n-train 32 64 --trials 12
+  studies run my-case --simulations 100    all of it within 100 simulations, for a model that is expensive
 """
 
 import argparse
@@ -47,4 +52,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     show_tuning(task, result.tuning.tuned)
     show_calibrations(task, [one.outcome for one in result.calibrations])
     show_report(task, stages[-1].result)
-    return document(task, "run", stages)
+    if result.spent is None:
+        return document(task, "run", stages)
+    spent = {"budget": result.spent.budget, "used": result.spent.used, "ended": result.spent.ended}
+    return document(task, "run", stages, simulations=spent)

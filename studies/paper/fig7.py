@@ -15,7 +15,8 @@ from studies.paper.published import N_IMPORTANT
 from studies.physical_model import open_physical_model
 from studies.reporting.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.stages.calibrate_stage import best_surrogate
-from studies.stages.simulate_stage import TEST_SEED, sensitivity_stage
+from studies.stages.sensitivity_stage import sensitivity_stage
+from studies.stages.simulate_stage import TEST_SEED
 from studies.surrogate_model import SurrogateModel
 from studies.task import Task
 from studies.words.wording import axis_label, count

@@ -8,6 +8,7 @@ import numpy as np
 from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
 from studies.calibration.sobol import SobolIndices, mean_over_time
+from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
 from studies.words.wording import (
@@ -53,21 +54,22 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
     if not found:
         return None
     unit, names = found[0].unit, tuple(dict.fromkeys(name for one in found for name in one.params))
-    errors = dict.fromkeys(name for one in found for name in one.metrics)
-    outputs = [name for name in errors if name.startswith("test/mae_")]
+    errors, judged_by = dict.fromkeys(name for one in found for name in one.metrics), found[0].judged_by
+    outputs = [name for name in errors if name.startswith(f"{judged_by}/mae_")]
+    has_sets = not found[0].folds
     columns = (
         number("n_train"),
         *(number(name) for name in names),
         number("MAE", unit),
         number("P90", unit),
-        *(Column(name.removeprefix("test/").replace("_", " ", 1), True) for name in outputs),
+        *(Column(name.removeprefix(f"{judged_by}/").replace("_", " ", 1), True) for name in outputs),
         number("gain"),
         number("PCA+GP MAE", unit, 1),
         number("PCA+GP P90", unit, 2),
         number("complete", spare=3),
         number("pruned", spare=3),
         number("failed", spare=4),
-        number("MAE val", unit, 5),
+        *([number("MAE val", unit, 5)] if has_sets else []),
     )
     rows = [
         [
@@ -77,14 +79,15 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
             significant(one.p90),
             *(significant(one.metrics.get(name)) for name in outputs),
             percent(one.gain),
-            significant(one.baseline.get("test/mae")),
-            significant(one.baseline.get("test/p90")),
+            significant(one.baseline.get(f"{judged_by}/mae")),
+            significant(one.baseline.get(f"{judged_by}/p90")),
             *(count(n) for n in (one.n_complete, one.n_pruned, one.n_failed)),
-            significant(one.metrics["val/mae"]),
+            *([significant(one.metrics["val/mae"])] if has_sets else []),
         ]
         for one in found
     ]
-    title = "Best surrogate per training-set size by validation error (MAE, P90: test set; gain over default)"
+    how = "validation error (MAE, P90: test set" if has_sets else "cross-validated error (MAE, P90"
+    title = f"Best surrogate per training-set size by {how}; gain over default)"
     return Table(title, columns, rows)
 
 
@@ -110,10 +113,13 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     """Tabulate calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
     unit, mse_unit = difference_unit(case.outputs[0].unit), square_of(case.outputs[0].unit)
     error = case.measurement.error_name
+    screened = [one.result.screening for one in calibrations if one.result.screening is not None]
+    is_crossed = any(f"{CROSS_VALIDATED}/mae" in one.errors for one in screened)
+    judged, judged_by = ("CV", CROSS_VALIDATED) if is_crossed else ("test", "test")
     with_surrogate: Columns = [
         (number("training set"), lambda one: count(one.result.n_train)),
-        (number("test MAE", unit), _screened(lambda found: found.errors.get("test/mae"), 2)),
-        (number("test P90", unit, 3), _screened(lambda found: found.errors.get("test/p90"), 2)),
+        (number(f"{judged} MAE", unit), _screened(lambda found: found.errors.get(f"{judged_by}/mae"), 2)),
+        (number(f"{judged} P90", unit, 3), _screened(lambda found: found.errors.get(f"{judged_by}/p90"), 2)),
         (number(f"{error} surrogate", mse_unit, 2), _screened(lambda found: found.mse_surrogate)),
         (number(f"{error} screened", mse_unit), _screened(lambda found: found.mse)),
         (number("gap", mse_unit, 4), _screened(lambda found: found.gap)),

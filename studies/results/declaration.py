@@ -22,6 +22,8 @@ from studies.search_space import STRICT, SearchParameter, SearchSpace, default_p
 ALIAS = "champion"
 """Of the best surrogate of a size, in MLflow's registry."""
 SETS = ("train", "validation", "test")
+CROSS_VALIDATED = "cv"
+"""First part of the names of errors that were found by cross-validation."""
 DRIVE = "drive"
 """Of the file with what drives the model."""
 
@@ -63,6 +65,7 @@ class Declaration:
         is_baseline: whether it is the PCA + GP that is fitted for comparison.
         note: shown where the numbers are shown.
         project: identity of the project whose study it is in a database that others share; else empty.
+        folds: parts of the training rows that judge in turn; 0 where a validation and a test set do.
     """
 
     __pydantic_config__ = STRICT
@@ -92,6 +95,7 @@ class Declaration:
     is_baseline: bool = False
     note: str = ""
     project: str = ""
+    folds: int = 0
 
     @cached_property
     def digest(self) -> str:
@@ -99,7 +103,7 @@ class Declaration:
         # What changes no trial is left out: another label or place of the files must not begin a new study.
         idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
         # Studies of before decoders were searched, and of projects that share nothing, keep their names.
-        added = ("forms", "project")
+        added = ("forms", "project", "folds")
         decisive = {
             name: value
             for name, value in self.to_dict().items()
@@ -120,13 +124,28 @@ class Declaration:
 
     @property
     def data(self) -> tuple[Any, ...]:
-        """What two studies share whose errors are compared: the label, the data sets, what errors weigh."""
+        """What two studies share whose errors are compared: label, data sets, folds, what errors weigh."""
         digests = sorted(one for one in self.digests.items() if one[0] != DRIVE)
-        return self.label, self.n_train, self.output_scales, *digests
+        return self.label, self.n_train, self.output_scales, self.folds, *digests
 
     def has_equal_data(self, other: "Declaration") -> bool:
         """Say whether errors of two studies compare and neither is the other's baseline."""
         return (self.is_baseline, self.data) == (other.is_baseline, other.data)
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """The sets that its trials need."""
+        return SETS[:1] if self.folds else SETS
+
+    @property
+    def chosen_by(self) -> str:
+        """First part of the names of the errors that choose the best trial."""
+        return CROSS_VALIDATED if self.folds else "val"
+
+    @property
+    def judged_by(self) -> str:
+        """First part of the names of the errors that are shown of it."""
+        return CROSS_VALIDATED if self.folds else "test"
 
     @property
     def model_name(self) -> str:

@@ -12,6 +12,7 @@ from studies.calibration.recorder import History
 from studies.calibration.uncertainty.findings import Compensation
 from studies.calibration.uncertainty.identifiability import Pair, Ridge
 from studies.calibration.uncertainty.noise import Noise
+from studies.results.declaration import CROSS_VALIDATED
 from studies.results.saved import WITH_ARRAYS, Error
 
 ADAPTIVE = "adaptive"
@@ -114,10 +115,11 @@ class TunedSize:
         run_id: MLflow's run of the best trial.
         model_uri: Address by which MLflow loads the best surrogate; None for a baseline, too.
         params: Hyperparameters of the best trial.
-        mae: Test MAE of the best trial. [unit]
-        p90: 90th percentile of its absolute test errors. [unit]
+        mae: Test MAE of the best trial, or the cross-validated one. [unit]
+        p90: 90th percentile of its absolute errors there. [unit]
         metrics: All errors of the best trial by name. [unit]
         baseline: Errors of PCA + GP on the same sets by name; empty without. [unit]
+        folds: Parts of the training rows that judged in turn; 0 where a validation and a test set did.
     """
 
     label: str
@@ -146,6 +148,12 @@ class TunedSize:
     p90: float | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
     baseline: Mapping[str, float] = field(default_factory=dict)
+    folds: int = 0
+
+    @property
+    def judged_by(self) -> str:
+        """First part of the names of the errors that are shown."""
+        return CROSS_VALIDATED if self.folds else "test"
 
     @property
     def n_all(self) -> int:

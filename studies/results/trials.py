@@ -5,10 +5,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from studies.results.declaration import Declaration
+from studies.results.declaration import CROSS_VALIDATED, Declaration
 from studies.results.stage_results import TunedSize
 from studies.words.wording import difference_unit
 
+_ERRORS = ("val/", "test/", f"{CROSS_VALIDATED}/")
 STATES = ("complete", "pruned", "failed", "running", "waiting")
 
 
@@ -132,7 +133,7 @@ class TunedStudy:
         more |= {"study": spec.name, "surrogate": spec.surrogate}
         if best is not None:
             more |= {"trial": best.number, "run_id": best.run_id, "params": dict(best.params)}
-            more |= {name: best.metrics.get(f"test/{name}") for name in ("mae", "p90")}
+            more |= {name: best.metrics.get(f"{spec.judged_by}/{name}") for name in ("mae", "p90")}
             more |= {"metrics": dict(best.metrics), "study": best.spec.name, "surrogate": best.spec.surrogate}
         return TunedSize(
             label=spec.label,
@@ -148,6 +149,7 @@ class TunedStudy:
             gain=self.gain,
             model_uri=self.model_uri,
             baseline={} if beside is None else dict(beside.metrics),
+            folds=spec.folds,
             **more,
         )
 
@@ -191,12 +193,15 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
 def errors_of(state: str, value: float | None, attrs: Mapping[str, Any]) -> dict[str, float]:
     """Return a trial's errors by name, as `val/mae` and `test/p90`; none unless it is complete.
 
+    With cross-validation they are `cv/mae` and `cv/p90`.
+
     Args:
         state: its state, as in `TrialView`.
-        value: its value, the validation MAE. [output's unit]
+        value: its value, the MAE that chooses. [output's unit]
         attrs: attributes that its worker gave it.
     """
     if state != "complete" or value is None:
         return {}
-    errors = {name: float(v) for name, v in attrs.items() if name.startswith(("val/", "test/"))}
-    return {"val/mae": float(value), **errors}
+    errors = {name: float(v) for name, v in attrs.items() if name.startswith(_ERRORS)}
+    chosen_by = CROSS_VALIDATED if f"{CROSS_VALIDATED}/p90" in errors else "val"
+    return {f"{chosen_by}/mae": float(value), **errors}

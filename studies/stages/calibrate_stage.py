@@ -83,8 +83,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
         "surrogate": best.weights_sha256,
         "screening": asdict(profile.screening),
         "polish": profile.polish.settings,
-        "n_validation": profile.data.n_validation,
-        "n_test": profile.data.n_test,
+        **{f"n_{name}": profile.data.sets.get(name, 0) for name in ("validation", "test")},
         "seed": profile.seed,
         **validation_inputs(task.case),
     }
@@ -131,8 +130,8 @@ def calibrate(
             polishing=polisher(profile),
             seed=profile.seed,
             n_train=n_train,
-            n_validation=profile.data.n_validation,
-            n_test=profile.data.n_test,
+            n_validation=profile.data.sets.get("validation", 0),
+            n_test=profile.data.sets.get("test", 0),
             prior=prior_of(case),
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )

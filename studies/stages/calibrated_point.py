@@ -235,8 +235,9 @@ def validate(
 
 def _with_validation(task: Task, found: Calibration, period: Case) -> Calibration:
     """Return a calibration with how it does on the validation period."""
-    points = _estimates(task.case)
-    if found.screening is not None:
+    # Within a budget the calibrated point alone.
+    points = {} if task.profile.is_budgeted else _estimates(task.case)
+    if found.screening is not None and not task.profile.is_budgeted:
         points["screened"] = np.array(list(found.screening.theta.values()))
     points[found.final] = found.point
     with open_physical_model(task, case=period) as model:

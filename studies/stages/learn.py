@@ -142,7 +142,7 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
     forms = {str(one): _settings(FORMS[str(one)], longer) for one in decoders} if "decoder" in search else {}
     found = []
     for n_train in task.profile.data.n_train:
-        digests = {name: sets[name].digest for name in ("validation", "test")}
+        digests = {name: one.digest for name, one in sets.items()}
         digests["train"] = sets["train"].take(np.arange(n_train)).digest
         spec = Declaration(
             label=task.label,
@@ -168,6 +168,7 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
             device=budget.device,
             max_trial_s=budget.max_trial_s,
             note=task.case.note,
+            folds=task.profile.data.folds or 0,
         )
         found.append(spec)
         if budget.baseline and budget.surrogate != "pca-gp":

@@ -1,4 +1,4 @@
-"""Stages that ask the physical model for data: the simulated sets and the Sobol indices."""
+"""The stage that asks the physical model for the sets that surrogates are trained on and judged by."""
 
 from pathlib import Path
 
@@ -8,14 +8,12 @@ from simulation.arrays import FloatArray
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.store.joined_store import store_at
-from studies.calibration.sobol import SobolIndices, sobol_indices
 from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
 from studies.results.outcome import Outcome, digest_of
 from studies.results.row_set import RowSet
 from studies.results.stage_results import SimulatedSets
 from studies.stages.pipeline import Stage
-from studies.stages.stage_runs import log_sensitivity
 from studies.task import Task
 from studies.words.console import Column
 from studies.words.wording import count
@@ -37,24 +35,19 @@ def train_seed(seed: int) -> int:
 
 def set_seeds(profile: Profile) -> dict[str, int]:
     """Return the seed of each set's design."""
-    return {"train": train_seed(profile.seed), "validation": VALIDATION_SEED, "test": TEST_SEED}
-
-
-def set_sizes(profile: Profile) -> dict[str, int]:
-    """Return the rows of each set."""
-    data = profile.data
-    return {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
+    seeds = {"train": train_seed(profile.seed), "validation": VALIDATION_SEED, "test": TEST_SEED}
+    return {name: seeds[name] for name in profile.data.sets}
 
 
 def _designs(task: Task) -> dict[str, FloatArray]:
     """Return the parameters of each set. Shape (n, p) each. [per parameter]."""
     space, seeds = task.case.parameter_space, set_seeds(task.profile)
-    return {name: uniform_design(space, n, seeds[name]) for name, n in set_sizes(task.profile).items()}
+    return {name: uniform_design(space, n, seeds[name]) for name, n in task.profile.data.sets.items()}
 
 
 def simulate_stage(task: Task) -> Outcome[SimulatedSets]:
     """Simulate the nested training design, the validation and the test set."""
-    sizes, designs = set_sizes(task.profile), _designs(task)
+    sizes, designs = task.profile.data.sets, _designs(task)
     total, store = sum(sizes.values()), store_file(task.paths, task.case)
     inputs = {
         "case": task.case.digest,
@@ -126,39 +119,3 @@ def show_sets(task: Task, found: SimulatedSets) -> None:
 def set_files(task: Task, found: SimulatedSets) -> dict[str, Path]:
     """Return the files of a finished simulate stage's sets."""
     return {name: task.paths.root / file for name, file in found.files.items()}
-
-
-def sensitivity_stage(task: Task) -> Outcome[SobolIndices]:
-    """Estimate the Sobol indices of the physical model."""
-    budget = task.profile.sensitivity
-    n_rows = budget.n_base * (task.case.parameter_space.n_parameters + 2)
-    inputs = {
-        "case": task.case.digest,
-        "n_base": budget.n_base,
-        "n_resamples": budget.n_resamples,
-        "seed": task.profile.seed,
-    }
-    stage = Stage(
-        task,
-        "sensitivity",
-        f"Sobol indices from {n_rows} simulations",
-        inputs,
-        SobolIndices,
-        {"kind": "sensitivity"},
-    )
-
-    def estimate() -> SobolIndices:
-        with open_physical_model(task) as model, task.console.progress("simulations", n_rows) as advance:
-            indices = sobol_indices(
-                model,
-                n_base=budget.n_base,
-                seed=task.profile.seed,
-                n_resamples=budget.n_resamples,
-                on_progress=advance,
-            )
-        say_reused(task, "sensitivity", model)
-        if not task.paths.tracking_database.is_file():
-            task.console.say("sensitivity: making MLflow's store, once")
-        return indices
-
-    return stage.once(estimate, log=log_sensitivity)

@@ -21,7 +21,8 @@ def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:
     """Return all trials that have ended as one record, None where there are none."""
     ended = [
         (
-            n_train, trial.state, trial.value, trial.metrics.get("test/mae"), trial.metrics.get("test/p90"),
+            n_train, trial.state, trial.value,
+            trial.metrics.get(f"{one.spec.judged_by}/mae"), trial.metrics.get(f"{one.spec.judged_by}/p90"),
             trial is one.best,
         )
         for n_train, one in studies.items()

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,10 @@ from pelsvae.config import SurrogateConfig
 from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.linear_network.drive import Drive
 from pelsvae.metrics import errors
-from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.results.declaration import DRIVE, SETS, Declaration, digest_of_arrays
+from studies.results.declaration import CROSS_VALIDATED, DRIVE, Declaration, digest_of_arrays
 from studies.results.row_set import RowSet
 from studies.results.saved import read_arrays
 
@@ -34,7 +34,7 @@ def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
         InputError: a set is not here, is not what the study was declared with, or has no two good rows.
     """
     data: StudyData = {}
-    for name in SETS:
+    for name in spec.sets:
         file = spec.file(paths, name)
         rows = RowSet.load(file).read(spec.n_train if name == "train" else None)
         # Errors on other rows would stand beside each other as if they compared.
@@ -78,25 +78,30 @@ def train(
     *,
     drive: Drive | None = None,
     on_epoch: Callable[[EpochReport], None],
-    on_report: Callable[[int, float], None],
-) -> tuple[FitResult, dict[str, float]]:
-    """Train a surrogate and judge it on the validation and the test set.
+    on_report: Callable[[int, float, bool], None],
+) -> tuple[FitResult | None, dict[str, float]]:
+    """Train a surrogate and judge it on the validation and the test set, or by cross-validation.
 
     Args:
         spec: the study.
         config: settings of the surrogate.
         seed: seed of the training.
-        data: the three sets.
+        data: the sets.
         drive: what drives the model, for decoders that know it.
-        on_epoch: called after every validated epoch; what it raises ends the training.
-        on_report: called with epoch and validation error where trials are compared.
+        on_epoch: called after every reported epoch; what it raises ends the training.
+        on_report: called with the step (epoch, or number of folds), the error there, and whether it is the
+            last step, where trials are compared.
 
     Returns:
-        The surrogate, and its errors by name (`val/mae`, `test/p90`, ...). [first output's unit]
+        The surrogate, None after cross-validation (see `train_on_all`); and its errors by name (`val/mae`,
+        `test/p90`, ..., or `cv/mae`, ...). [first output's unit]
 
     Raises:
         TrainingDiverged: the loss or an error is not finite.
     """
+    if spec.folds:
+        judged = _cross_validated(spec, config, seed, data, drive, on_epoch, on_report)
+        return None, _finite(judged)
     steps = report_epochs(config.max_epochs)
 
     def report(now: EpochReport) -> None:
@@ -106,35 +111,114 @@ def train(
         # Of processes only the last report is of the surrogate; the others are of parts of the rows.
         if due and config.regressor == "network":
             del steps[: len(due)]
-            on_report(due[-1], now.validation_mae)
+            on_report(due[-1], now.validation_mae, due[-1] == config.max_epochs)
 
-    fitted = fit(
-        *data["train"],
-        data["validation"],
+    fitted = _fit(spec, config, seed, data["train"], data["validation"], drive, report)
+    judged: dict[str, float] = {}
+    for name, (theta, y) in {"val": data["validation"], "test": data["test"]}.items():
+        judged |= _judged(name, fitted.surrogate.predict(theta), y, spec)
+    return fitted, _finite(judged)
+
+
+def train_on_all(
+    spec: Declaration,
+    config: SurrogateConfig,
+    seed: int,
+    data: StudyData,
+    *,
+    drive: Drive | None,
+    on_epoch: Callable[[EpochReport], None],
+) -> FitResult:
+    """Train the surrogate of a trial that was cross-validated, with all training rows, to the last epoch.
+
+    Args: as of `train`.
+
+    Raises:
+        TrainingDiverged: the loss is not finite.
+    """
+    before = min(spec.folds, len(data["train"][0])) * config.max_epochs
+    return _fit(spec, config, seed, data["train"], None, drive, lambda now: on_epoch(_after(now, before)))
+
+
+def _cross_validated(
+    spec: Declaration,
+    config: SurrogateConfig,
+    seed: int,
+    data: StudyData,
+    drive: Drive | None,
+    on_epoch: Callable[[EpochReport], None],
+    on_report: Callable[[int, float, bool], None],
+) -> dict[str, float]:
+    """Return the errors of all training rows, each by a surrogate of the other folds. [output's unit]."""
+    theta, y = data["train"]
+    n_folds = min(spec.folds, len(theta))
+    # Rows of a design are in random order already, and every trial has the same folds.
+    fold = np.arange(len(theta)) % n_folds
+    predicted, before = np.empty_like(y), 0
+    judged: dict[str, float] = {}
+    for number in range(n_folds):
+        held, others = fold == number, fold != number
+
+        def report(now: EpochReport, before: int = before) -> None:
+            on_epoch(_after(now, before))
+
+        # The held-out rows choose no epoch: what they judge has not seen them.
+        fitted = _fit(spec, config, seed, (theta[others], y[others]), None, drive, report)
+        predicted[held] = fitted.surrogate.predict(theta[held])
+        done, before = fold <= number, before + config.max_epochs
+        judged = _judged(CROSS_VALIDATED, predicted[done], y[done], spec)
+        mae = judged[f"{CROSS_VALIDATED}/mae"]
+        on_epoch(EpochReport(before, n_folds * config.max_epochs, math.nan, mae))
+        on_report(number + 1, mae, number + 1 == n_folds)
+    return judged
+
+
+def _after(now: EpochReport, before: int) -> EpochReport:
+    """Return a report of one of several trainings, counted from the begin of the first."""
+    return replace(now, epoch=before + now.epoch, max_epochs=before + now.max_epochs)
+
+
+def _fit(
+    spec: Declaration,
+    config: SurrogateConfig,
+    seed: int,
+    rows: tuple[NDArray[np.float64], NDArray[np.float64]],
+    validation: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+    drive: Drive | None,
+    on_epoch: Callable[[EpochReport], None],
+) -> FitResult:
+    return fit(
+        *rows,
+        validation,
         config=config,
         seed=seed,
         log_columns=np.array(spec.is_log),
         output_scales=np.array(spec.output_scales),
         drive=drive,
-        on_epoch=report,
+        on_epoch=on_epoch,
     )
-    judged = judge(fitted.surrogate, spec, data)
-    # The test set is new to the training, which has seen validation errors alone.
+
+
+def _judged(
+    name: str, predicted: NDArray[np.float64], y: NDArray[np.float64], spec: Declaration
+) -> dict[str, float]:
+    """Return the errors of predictions (n, t, k), their names beginning with `name`. [output's unit]."""
+    error = errors(predicted, y, np.array(spec.output_scales))
+    scales = np.array(spec.output_scales)
+    left, varies = (float(np.square(one * scales).sum()) for one in (predicted - y, y - y.mean(axis=0)))
+    judged = {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
+    # Part of the variance that is not explained.
+    judged[f"{name}/unexplained"] = left / varies if varies > 0.0 else 1.0
+    if len(spec.output_names) > 1:
+        by_output = np.abs(predicted - y).mean(axis=(0, 1))
+        for output, mae in zip(spec.output_names, by_output, strict=True):
+            allowed = re.sub(r"[^\w.-]", "_", output, flags=re.ASCII)  # in names of MLflow
+            judged[f"{name}/mae_{allowed}"] = float(mae)
+    return judged
+
+
+def _finite(judged: dict[str, float]) -> dict[str, float]:
+    """Return errors that are finite: rows that judge are new to the training."""
     if not all(map(math.isfinite, judged.values())):
         raise TrainingDiverged("the errors of the trained surrogate are not finite")
-    return fitted, judged
-
-
-def judge(surrogate: Surrogate, spec: Declaration, data: StudyData) -> dict[str, float]:
-    """Return the errors of a surrogate on the validation and the test set, by name. [output's unit]."""
-    judged: dict[str, float] = {}
-    for name, (theta, y) in {"val": data["validation"], "test": data["test"]}.items():
-        predicted = surrogate.predict(theta)
-        error = errors(predicted, y, np.array(spec.output_scales))
-        judged |= {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
-        if len(spec.output_names) > 1:
-            by_output = np.abs(predicted - y).mean(axis=(0, 1))
-            for output, mae in zip(spec.output_names, by_output, strict=True):
-                allowed = re.sub(r"[^\w.-]", "_", output, flags=re.ASCII)  # in names of MLflow
-                judged[f"{name}/mae_{allowed}"] = float(mae)
     return judged

@@ -252,10 +252,11 @@ def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
     names = list(dict.fromkeys(name for one in found for name in one.params))
     each = [
         f"{one.n_train}: {' / '.join(setting(one.params.get(name)) for name in names)} → "
-        f"{', '.join(significant(one.metrics[name]) for name in ('test/mae', 'test/p90'))}"
+        f"{significant(one.mae)}, {significant(one.p90)}"
         for one in found
     ]
-    return f"Best per n_train ({' / '.join(names)} → test MAE, P90 {found[0].unit}): {' · '.join(each)}"
+    judged = "cross-validated" if found[0].folds else "test"
+    return f"Best per n_train ({' / '.join(names)} → {judged} MAE, P90 {found[0].unit}): {' · '.join(each)}"
 
 
 def closed_studies(

@@ -32,7 +32,7 @@ from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import open_storage, study_locked
-from studies.tuning.trial_training import load_data, load_drive, train
+from studies.tuning.trial_training import load_data, load_drive, train, train_on_all
 from studies.words.quiet_loggers import working
 
 
@@ -142,13 +142,14 @@ class Worker:
             run.log(report)
             epoch = report.epoch
             if spec.max_trial_s is not None and time.perf_counter() - began >= spec.max_trial_s:
-                trial.report(report.validation_mae, epoch)
+                if math.isfinite(report.validation_mae):
+                    trial.report(report.validation_mae, epoch)
                 stop(f"reached its limit of {spec.max_trial_s:g} s at epoch {epoch}")
 
-        def compare(step: int, value: float) -> None:
+        def compare(step: int, value: float, is_last: bool) -> None:
             trial.report(value, step)
-            # At the last epoch pruning saves no time, and a complete trial is evidence for the pruner.
-            if step < config.max_epochs and trial.should_prune():
+            # At the last step pruning saves no time, and a complete trial is evidence for the pruner.
+            if not is_last and trial.should_prune():
                 stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
 
         def stop(reason: str) -> None:
@@ -163,9 +164,13 @@ class Worker:
             trial.set_user_attr("training", {"n_epochs": epoch, "wall_s": wall_s, **more})
 
         try:
-            fitted, metrics = train(
-                spec, config, seed, self._data, drive=self._drive, on_epoch=on_epoch, on_report=compare
-            )
+            given = (spec, config, seed, self._data)
+            fitted, metrics = train(*given, drive=self._drive, on_epoch=on_epoch, on_report=compare)
+            # Only a trial that is the best when it ends can become its study's model.
+            value = metrics.pop(f"{spec.chosen_by}/mae")
+            is_best = value < self._best()
+            if fitted is None and is_best:
+                fitted = train_on_all(*given, drive=self._drive, on_epoch=on_epoch)
         except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
         except Exception as error:
@@ -173,16 +178,17 @@ class Worker:
             said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
             note(reason := f"{type(error).__name__}: {said}")
             raise TrialFailedError(reason) from error
+        for name, one in metrics.items():
+            trial.set_user_attr(name, one)
+        if fitted is None:
+            note("cross-validated", best_epoch=config.max_epochs)
+            return value
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
             save_surrogate(fitted.surrogate, folder)
             weights = file_digest(folder / "weights.npz")
-            # Only a trial that is the best when it ends can become its study's model.
-            if metrics["val/mae"] < self._best():
+            if is_best:
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
-        value = metrics.pop("val/mae")
-        for name, one in metrics.items():
-            trial.set_user_attr(name, one)
         epoch = fitted.n_epochs
         note(fitted.stop_reason, best_epoch=fitted.best_epoch, weights_sha256=weights)
         return value
