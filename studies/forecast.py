@@ -139,6 +139,7 @@ def _trials(task: Task) -> Iterator[dict[str, Any]]:
     n_trials, known = task.profile.tuning.n_trials, tuned_by_size(task)
     for n_train in task.profile.data.n_train:
         found = known.get(n_train)
-        n_left = n_trials if found is None else max(n_trials - found.n_ended, 0)
-        left_s = None if found is None else replace(found, n_planned=n_trials).to_go_s
+        alone = None if found is None else replace(found.of(found.spec.name), n_planned=n_trials)
+        n_left = n_trials if alone is None else max(n_trials - alone.n_ended, 0)
+        left_s = None if alone is None else alone.to_go_s
         yield {"n_train": n_train, "n_left": n_left, "training_s": left_s}

@@ -18,7 +18,7 @@ from studies.results.saved import plain
 from studies.results.stage_results import Calibration, TunedSize
 from studies.results.trials import TunedStudy
 from studies.tracking.sent_runs import sent_runs
-from studies.tuning.study_results import latest_studies, read_studies
+from studies.tuning.study_results import joined_studies, latest_studies, read_studies
 from studies.words.console import format_seconds
 from studies.words.wording import (
     MISSING,
@@ -114,8 +114,10 @@ class Project:
 
     @property
     def sizes(self) -> list[TunedSize]:
-        """What each study came to."""
-        return [one.summary(self.studies) for one in self.studies]
+        """What each size was tuned to; studies of other data stand apart."""
+        found = joined_studies(self.studies)
+        found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s))
+        return [one.summary(self.studies) for one in found]
 
 
 def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
@@ -175,7 +177,7 @@ def best_document(project: Project) -> dict[str, Any]:
 
 
 def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
-    """Return the study begun last of each size that has a best trial; the label used last comes first."""
+    """Return what each size with a best trial was tuned with last; the label used last comes first."""
     tuned = [one for one in project.studies if not one.spec.is_baseline and one.best is not None]
     found = {}
     for label in dict.fromkeys(one.spec.label for one in sorted(tuned, key=lambda one: -one.began_s)):
@@ -186,14 +188,18 @@ def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
 
 def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
     best_study = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf)
-    spec = best_study.spec
+    spec = best_study.spec if best_study.best is None else best_study.best.spec
     storage, store = project.paths.optuna_url, _store_of(project, best_study)
-    return [
+    lines = [
         "In Python:",
         f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
-        f'  mlflow.set_tracking_uri("{store.uri}")',
-        f'  mlflow.pyfunc.load_model("{store.model_uri}").predict(theta)',
     ]
+    if store.model_uri is not None:
+        lines += [
+            f'  mlflow.set_tracking_uri("{store.uri}")',
+            f'  mlflow.pyfunc.load_model("{store.model_uri}").predict(theta)',
+        ]
+    return [*lines]
 
 
 @dataclass(frozen=True)
@@ -202,7 +208,7 @@ class _Store:
 
     uri: str
     run_id: str
-    model_uri: str
+    model_uri: str | None
 
 
 def _store_of(project: Project, study: TunedStudy) -> _Store:
@@ -210,8 +216,9 @@ def _store_of(project: Project, study: TunedStudy) -> _Store:
     run_id, sent = "" if best is None else best.run_id, sent_runs(paths)
     model = {} if sent is None else sent.models.get(spec.model_name, {})
     if sent is None or model.get("run") != run_id or not sent.id_of(run_id):
-        return _Store(paths.tracking_uri, run_id, spec.model_uri)
-    return _Store(sent.uri, sent.id_of(run_id), f"models:/{model['name']}@{ALIAS}")
+        return _Store(paths.tracking_uri, run_id, study.model_uri)
+    which = f"/{model['version']}" if "version" in model else f"@{ALIAS}"  # none was noted before
+    return _Store(sent.uri, sent.id_of(run_id), f"models:/{model['name']}{which}")
 
 
 def best_calibrations(project: Project) -> list[FinishedCalibration]:

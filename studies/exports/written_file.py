@@ -133,14 +133,15 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
     if len(cases) != 1:
         remedy = f"name one of: {', '.join(cases)}" if cases else "type studies tune first"
         raise InputError(f"--write onnx needs one case with a surrogate; {remedy}")
-    complete = [(one.spec, one.best) for one in tuned if one.best is not None and one.best.value is not None]
+    complete = [one.best for one in tuned if one.best is not None and one.best.value is not None]
     # Its states are solved by compiled loops, which no ONNX operator is.
-    writable = [(spec, best) for spec, best in complete if spec.config(best.params).decoder == "layers"]
+    writable = [best for best in complete if best.spec.config(best.params).decoder == "layers"]
     if not writable:
         raise InputError(
             f"a state-space decoder has no ONNX form; type: studies tune {cases[0]} --surrogate refined"
         )
-    spec, best = min(writable, key=lambda pair: pair[1].value or 0.0)
+    best = min(writable, key=lambda one: one.value or 0.0)
+    spec = best.spec
     runs = run_store(project.paths)
     with tempfile.TemporaryDirectory(prefix="studies-onnx-") as scratch:
         record = read_json(runs.fetch(best.run_id, FILE, Path(scratch))) or {}

@@ -124,9 +124,13 @@ class Declaration:
 
     @property
     def data(self) -> tuple[Any, ...]:
-        """What two studies share whose errors are compared: the label, the data sets, the folds."""
+        """What two studies share whose errors are compared: label, data sets, folds, what errors weigh."""
         digests = sorted(one for one in self.digests.items() if one[0] != DRIVE)
-        return self.label, self.n_train, self.folds, *digests
+        return self.label, self.n_train, self.output_scales, self.folds, *digests
+
+    def has_equal_data(self, other: "Declaration") -> bool:
+        """Say whether errors of two studies compare and neither is the other's baseline."""
+        return (self.is_baseline, self.data) == (other.is_baseline, other.data)
 
     @property
     def sets(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Trials of the tuning and what a study of them has come to."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,7 @@ class TrialView:
     """One place of a study: a trial, or the latest retry of it.
 
     Args:
+        spec: the study that it is of.
         number: Optuna's number of the trial.
         state: "complete", "pruned", "failed", "running" or "waiting".
         params: its hyperparameters.
@@ -32,6 +33,7 @@ class TrialView:
         weights_sha256: of the trained surrogate's weights.
     """
 
+    spec: Declaration
     number: int
     state: str
     params: Mapping[str, Any]
@@ -48,14 +50,15 @@ class TrialView:
 
 @dataclass(frozen=True)
 class TunedStudy:
-    """An Optuna study of this project.
+    """An Optuna study of this project, or several whose errors compare (see `joined`).
 
     Args:
         spec: what it was declared with.
         n_planned: trials it shall have.
         trials: its places, in order.
-        n_closed: trials it had when its best surrogate was registered; 0 before.
+        n_closed: trials that had ended when its best surrogate was registered; 0 before.
         gone: runs that cannot be recommended: deleted by their owner, or second to one and without weights.
+        versions: versions of registered models, by run.
     """
 
     spec: Declaration
@@ -63,6 +66,7 @@ class TunedStudy:
     trials: tuple[TrialView, ...]
     n_closed: int = 0
     gone: frozenset[str] = frozenset()
+    versions: Mapping[str, int] = field(default_factory=dict)
 
     def count(self, state: str) -> int:
         """Return the number of trials in a state."""
@@ -75,17 +79,23 @@ class TunedStudy:
 
     @cached_property
     def best(self) -> TrialView | None:
-        """The completed trial of least validation error among those that were trained here."""
+        """The completed trial of least validation error among those that were trained here.
+
+        The alias, the tag, tables, the report and calibrations all ask here.
+        """
         # Trials that users add through Optuna have no run, and so no weights to register.
         ours = [trial for trial in self.trials if trial.state == "complete" and trial.run_id]
         ours = [trial for trial in ours if trial.run_id not in self.gone]
         # Of equal errors the earlier trial, so that reading again finds the same one.
-        return min(ours, key=lambda trial: (trial.value, trial.number), default=None)
+        return min(ours, key=lambda trial: trial.value or 0.0, default=None)
 
     @property
     def default(self) -> TrialView | None:
         """The trial with the surrogate's own settings, where it was trained to its end."""
-        return next((t for t in self.trials if t.proposed_by == "default" and t.state == "complete"), None)
+        found = [one for one in self.trials if one.proposed_by == "default" and one.state == "complete"]
+        # Of several studies that of the best one: another search space may have another default.
+        beside = [one for one in found if self.best is not None and one.spec.name == self.best.spec.name]
+        return next(iter(beside or found), None)
 
     @property
     def gain(self) -> float | None:
@@ -118,19 +128,17 @@ class TunedStudy:
             studies: where its PCA + GP is looked for: that of the same label and data sets.
         """
         spec, best = self.spec, self.best
-        is_registered = best is not None and not spec.is_baseline
         beside = next((o.best for o in studies if o.spec.is_baseline and o.spec.data == spec.data), None)
         more: dict[str, Any] = {f"n_{state}": self.count(state) for state in STATES}
+        more |= {"study": spec.name, "surrogate": spec.surrogate}
         if best is not None:
             more |= {"trial": best.number, "run_id": best.run_id, "params": dict(best.params)}
             more |= {name: best.metrics.get(f"{spec.judged_by}/{name}") for name in ("mae", "p90")}
-            more |= {"metrics": dict(best.metrics)}
+            more |= {"metrics": dict(best.metrics), "study": best.spec.name, "surrogate": best.spec.surrogate}
         return TunedSize(
             label=spec.label,
             case=spec.case_name,
             n_train=spec.n_train,
-            study=spec.name,
-            surrogate=spec.surrogate,
             is_baseline=spec.is_baseline,
             unit=difference_unit(spec.output_unit),
             n_planned=self.n_planned,
@@ -139,16 +147,47 @@ class TunedStudy:
             wall_s=self.wall_s,
             to_go_s=self.to_go_s,
             gain=self.gain,
-            model_uri=spec.model_uri if is_registered else None,
+            model_uri=self.model_uri,
             baseline={} if beside is None else dict(beside.metrics),
             folds=spec.folds,
             **more,
         )
 
     @property
+    def model_uri(self) -> str | None:
+        """Address of the best surrogate in MLflow's registry, None before it is registered."""
+        if self.best is None or self.spec.is_baseline:
+            return None
+        if (version := self.versions.get(self.best.run_id)) is not None:
+            return f"models:/{self.best.spec.model_name}/{version}"
+        # Projects of before noted no versions.
+        return self.best.spec.model_uri if self.n_closed and not self.versions else None
+
+    def of(self, name: str) -> "TunedStudy":
+        """Return what is of one study alone."""
+        return replace(self, trials=tuple(one for one in self.trials if one.spec.name == name))
+
+    @property
     def began_s(self) -> float:
         """When its first trial began. [s since 1970, UTC]."""
         return min((trial.began_s for trial in self.trials if trial.began_s), default=0.0)
+
+
+def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
+    """Return studies whose errors compare as one: an edited search space begins another study.
+
+    Args:
+        studies: studies of equal data (see `Declaration.data`), at least one.
+    """
+    *others, last = sorted(studies, key=lambda one: one.began_s)
+    return TunedStudy(
+        spec=last.spec,
+        n_planned=last.n_planned + sum(len(one.trials) for one in others),
+        trials=tuple(trial for one in (*others, last) for trial in one.trials),
+        n_closed=sum(one.n_closed for one in studies),
+        gone=frozenset().union(*(one.gone for one in studies)),
+        versions={run: version for one in studies for run, version in one.versions.items()},
+    )
 
 
 def errors_of(state: str, value: float | None, attrs: Mapping[str, Any]) -> dict[str, float]:

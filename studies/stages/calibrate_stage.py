@@ -14,7 +14,7 @@ from studies.physical_model import open_physical_model, say_reused
 from studies.profile import Profile
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Screened
-from studies.results.trials import TrialView, TunedStudy
+from studies.results.trials import TrialView
 from studies.simulation_time import duration
 from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
@@ -29,8 +29,8 @@ from studies.words.wording import count
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
 
-def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, tuple[TunedStudy, TrialView]]:
-    """Return the tuned study and the best trial of each training-set size.
+def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, TrialView]:
+    """Return the best trial of each training-set size.
 
     Args:
         task: the task.
@@ -39,7 +39,7 @@ def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, tuple[
     Raises:
         InputError: an asked size has no surrogate, or there is none at all.
     """
-    found = {n: (one, one.best) for n, one in tuned_by_size(task).items() if one.best is not None}
+    found = {n: one.best for n, one in tuned_by_size(task).items() if one.best is not None}
     missing = [n_train for n_train in asked or () if n_train not in found]
     if missing or not found:
         of, sizes = task.label, "".join(f" {n_train}" for n_train in missing)
@@ -57,7 +57,7 @@ def best_surrogate(task: Task, n_train: int) -> Surrogate:
     Raises:
         InputError: there is none of this case, or its weights cannot be read here.
     """
-    _, best = tuned_with_best(task, [n_train])[n_train]
+    best = tuned_with_best(task, [n_train])[n_train]
     return load_surrogate(run_store(task.paths), best.run_id)
 
 
@@ -79,7 +79,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
         n_train: training-set size.
         again: calibrate though it is finished.
     """
-    profile, (tuned, best) = task.profile, tuned_with_best(task, [n_train])[n_train]
+    profile, best = task.profile, tuned_with_best(task, [n_train])[n_train]
     inputs = {
         **case_inputs(task.case),
         "surrogate": best.weights_sha256,
@@ -98,7 +98,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
     made = {"kind": "calibration", "n_train": n_train, "surrogate_run": best.run_id}
     stage = Stage(task, f"calibrate-{size_name(n_train)}", what, inputs, Calibration, made)
     origin = {
-        "study": tuned.spec.name,
+        "study": best.spec.name,
         "trial": best.number,
         "run_id": best.run_id,
         "params": dict(best.params),

@@ -93,10 +93,14 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
             provenance=task.provenance(kind="training"),
             on_trials=show,
             on_warning=task.console.warn,
+            on_promotion=task.console.say,
         )
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]
-    n_done, n_all = sum(one.n_ended for one in tuned), budget.n_trials * len(sizes)
+    n_done = sum(
+        one.of(spec.name).n_ended for one, spec in zip(found, specs, strict=True) if not spec.is_baseline
+    )
+    n_all = budget.n_trials * len(sizes)
     if task.max_hours is not None and n_done < n_all:
         ended = f"tune: --max-hours ended it after {n_done} of {n_all} trials; the same command goes on"
         if without:

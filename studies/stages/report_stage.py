@@ -8,6 +8,7 @@ from studies.results.outcome import Outcome
 from studies.results.provenance import file_digest
 from studies.results.row_set import RowSet
 from studies.results.stage_results import Reported, SimulatedSets
+from studies.results.trials import TunedStudy
 from studies.stages.finished import stored, stored_calibrations, stored_uncertainties
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_report
@@ -35,7 +36,7 @@ def report_stage(task: Task) -> Outcome[Reported]:
         "case": [task.case.digest, file_digest(task.case.path)],
         "results": {file.name: file_digest(file) for file in files if file.is_file()},
         "trials": [
-            [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials]]
+            [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials], _run_of(one)]
             for one in (*tuned.values(), *baselines.values())
         ],
         "versions": versions(),
@@ -75,3 +76,8 @@ def _coverage(task: Task) -> FloatArray | None:
         return None
     file = task.paths.root / sets.files["train"]
     return RowSet.load(file).read(N_COVERAGE).y if file.is_file() else None
+
+
+def _run_of(tuned: TunedStudy) -> str:
+    """Return the run of the best surrogate, which may change though no trial does."""
+    return "" if tuned.best is None else tuned.best.run_id

@@ -52,7 +52,7 @@ def sensitivity_stage(task: Task) -> Outcome[SobolIndices]:
 
 def surrogate_sensitivity_stage(task: Task, n_train: int) -> Outcome[SobolIndices]:
     """Estimate the Sobol indices of the best surrogate of a size, which costs no simulation."""
-    tuned, best = tuned_with_best(task, [n_train])[n_train]
+    best = tuned_with_best(task, [n_train])[n_train]
     budget = task.profile.sensitivity
     inputs = {
         "case": task.case.digest,
@@ -75,6 +75,6 @@ def surrogate_sensitivity_stage(task: Task, n_train: int) -> Outcome[SobolIndice
             n_jobs=task.n_jobs,
         )
         found = sobol_indices(model, n_base=N_BASE, seed=task.profile.seed, n_resamples=budget.n_resamples)
-        return with_error_of_surrogate(found, n_train, best.metrics[f"{tuned.spec.judged_by}/unexplained"])
+        return with_error_of_surrogate(found, n_train, best.metrics[f"{best.spec.judged_by}/unexplained"])
 
     return stage.once(estimate, log=log_sensitivity)

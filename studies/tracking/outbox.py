@@ -239,7 +239,7 @@ class Outbox:
                 raise
             self._say(f"{self._server.registry} has no model registry: models stay in the project")
             return
-        self._sent.models[model.name] = {"name": name, "run": run_id}
+        self._sent.models[model.name] = {"name": name, "run": run_id, "version": str(number)}
 
     def _registered(self, name: str, version: Any, sent_id: str) -> str:
         """Log a model of the project there, register it, and return its version."""

@@ -140,6 +140,15 @@ class RunStore:
         """Whether a run has an artifact of a name."""
         return any(one.path == name for one in self.client.list_artifacts(run_id))
 
+    def champion(self, name: str) -> "entities.model_registry.ModelVersion | None":
+        """Return the version of a model that has the alias, None where there is none."""
+        try:
+            return self.client.get_model_version_by_alias(name, ALIAS)
+        except mlflow.MlflowException as error:
+            if error.error_code not in ("RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE"):
+                raise
+            return None
+
     def log(
         self,
         run_id: str,
@@ -296,17 +305,21 @@ def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate":
             raise InputError(f"the surrogate of MLflow's run {run_id} cannot be loaded: {error}") from None
 
 
-def register_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
+def register_best(runs: RunStore, best: "TrialView") -> int:
     """Give the best trial's surrogate the alias "champion"; it is registered where it is not yet.
+
+    Returns:
+        Its version.
 
     Raises:
         InputError: the trial's weights are gone or out of this machine's reach.
     """
-    client, name = runs.client, spec.model_name
+    client, spec, name = runs.client, best.spec, best.spec.model_name
     known = client.search_model_versions(f"name = '{name}' and run_id = '{best.run_id}'")
     number = known[0].version if known else _register(runs, spec, best)
     if not known or ALIAS not in known[0].aliases:
         client.set_registered_model_alias(name, ALIAS, str(number))
+    return int(number)
 
 
 def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:

@@ -8,10 +8,13 @@ import optuna
 from studies.results.declaration import Declaration
 from studies.tracking.runs import SURROGATE, RunStore, register_best
 from studies.tracking.trial_run import end_run
+from studies.words.wording import difference_unit, quantity
 
 if TYPE_CHECKING:
     from studies.results.trials import TrialView, TunedStudy
 
+PROMOTED = "promoted"
+"""Tag of a model's version: why it took the place of another one."""
 BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
 
@@ -58,7 +61,7 @@ def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, s
         if is_there and (not fault or runs.has(best.run_id, SURROGATE)):
             break
         if not is_there and not fault:
-            fault = f"{found.spec.name}: the run of its best trial, {best.number}, was deleted in MLflow"
+            fault = f"{best.spec.name}: the run of its best trial, {best.number}, was deleted in MLflow"
             way_back = f"mlflow runs restore --run-id {best.run_id}"
         found = replace(found, gone=found.gone | {best.run_id})
     if fault:
@@ -67,8 +70,14 @@ def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, s
     return found, fault
 
 
-def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str) -> None:
-    """Write what a study came to on its run, mark and register its best trial, and end the run."""
+def close_study(runs: RunStore, found: "TunedStudy", run_id: str) -> None:
+    """Write what a study came to on its run, and end the run.
+
+    Args:
+        runs: the project's runs.
+        found: the study alone.
+        run_id: its run.
+    """
     best = found.best
     numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
     if best is not None:
@@ -76,11 +85,48 @@ def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: 
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
         if found.gain is not None:
             numbers["best/gain_over_default"] = found.gain
-        mark_best(runs, spec, best)
-        if not spec.is_baseline:
-            register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED")
+
+
+def promote(runs: RunStore, found: "TunedStudy") -> tuple[int | None, str]:
+    """Mark and register the best trial of a size.
+
+    Args:
+        runs: the project's runs.
+        found: all studies whose errors compare.
+
+    Returns:
+        The model's version, None where none is registered; and, where another one was the champion before,
+        a line that says why it is no more.
+    """
+    best = found.best
+    if best is None:
+        return None, ""
+    mark_best(runs, found.spec, best)
+    if found.spec.is_baseline:
+        return None, ""
+    before = runs.champion(best.spec.model_name)
+    version = register_best(runs, best)
+    if before is None or int(before.version) == version:
+        return version, ""
+    why = f"n_train {found.spec.n_train}: {_shown(best)} is the best surrogate now, version {version}; "
+    why += f"version {before.version} was: {_why_not(found, before.run_id)}"
+    runs.client.set_model_version_tag(best.spec.model_name, str(version), PROMOTED, why)
+    return version, why
+
+
+def _why_not(found: "TunedStudy", run_id: str | None) -> str:
+    """Say why the surrogate of a run is not the best one any more."""
+    before = next((one for one in found.trials if one.run_id == run_id), None)
+    if before is None:
+        return "it is of other data, or its trial was deleted"
+    return f"{_shown(before)}" + (", deleted in MLflow" if before.run_id in found.gone else "")
+
+
+def _shown(trial: "TrialView") -> str:
+    unit = difference_unit(trial.spec.output_unit)
+    return f"trial {trial.number} of {trial.spec.name} (validation MAE {quantity(trial.value or 0.0, unit)})"
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

@@ -25,9 +25,11 @@ MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 RUN_ID, OWNER = "mlflow_run_id", "owner"
 DECLARATION, PLANNED, PROVENANCE, CLOSED = "declaration", "n_trials", "provenance", "closed"
-"""Attributes of a study; `closed` says how many trials it had when its best surrogate was registered."""
+"""Attributes of a study; `closed` says how many trials had ended when its best surrogate was registered."""
 GONE = "gone"
 """Attribute of a study: runs in MLflow that cannot be recommended, as their owner deleted them."""
+VERSIONS = "versions"
+"""Attribute of a study: versions of models in MLflow's registry, by run."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
 _SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile

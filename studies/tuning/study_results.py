@@ -1,6 +1,6 @@
 """What the studies of a project have come to, read from Optuna alone: for tables, figures and programs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +9,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
 from studies.results.declaration import Declaration
-from studies.results.trials import TrialView, TunedStudy, errors_of
+from studies.results.trials import TrialView, TunedStudy, errors_of, joined
 from studies.search_space import SearchSpace
 from studies.tuning import attempts
 from studies.tuning.storage import storage_of
@@ -23,22 +23,27 @@ def read_study(study: optuna.Study) -> TunedStudy:
     Raises:
         InputError: it was made by another program or version.
     """
-    attrs = study.user_attrs
+    attrs, spec = study.user_attrs, attempts.declaration_of(study)
+    places = attempts.places(study.get_trials(deepcopy=False))
     return TunedStudy(
-        spec=attempts.declaration_of(study),
+        spec=spec,
         n_planned=int(attrs.get(attempts.PLANNED, 0)),
-        trials=tuple(map(_view, attempts.places(study.get_trials(deepcopy=False)))),
+        trials=tuple(_view(spec, trial) for trial in places),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
         gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
+        versions=dict(attrs.get(attempts.VERSIONS, {})),
     )
 
 
-def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[TunedStudy]:
+def read_studies(
+    paths: ProjectPaths, *, label: str | None = None, n_train: int | None = None
+) -> list[TunedStudy]:
     """Read the studies of a project, by label and size; those of other programs are left out.
 
     Args:
         paths: the project.
         label: only those of a label.
+        n_train: only those of a training-set size.
     """
     if paths.storage is None and not paths.optuna_database.is_file():
         return []
@@ -48,6 +53,8 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
             declared = study.user_attrs.get(attempts.DECLARATION)
             # The label first: to read a study means to read all its trials.
             if not isinstance(declared, dict) or label not in (None, declared.get("label")):
+                continue
+            if n_train not in (None, declared.get("n_train")):
                 continue
             # Those of before have no project.
             if declared.get("project", "") in ("", paths.identity):
@@ -71,19 +78,27 @@ def of_project(specs: Sequence[Declaration], paths: ProjectPaths) -> list[Declar
 def latest_studies(
     studies: Sequence[TunedStudy], case_digest: str | None = None
 ) -> dict[tuple[int, bool], TunedStudy]:
-    """Return the study begun last of each size, by size and whether it is the baseline.
+    """Return what each size was tuned with last, by size and whether it is the baseline.
 
     Args:
         studies: studies of one label.
         case_digest: only those of this physics.
     """
     mine = [s for s in studies if case_digest in (None, s.spec.digests.get("case"))]
-    ordered = sorted(mine, key=lambda one: one.began_s)
     # In the order of their beginning, so the last of a size remains.
-    return {(one.spec.n_train, one.spec.is_baseline): one for one in ordered}
+    return {(one.spec.n_train, one.spec.is_baseline): one for one in joined_studies(mine)}
 
 
-def _view(trial: FrozenTrial) -> TrialView:
+def joined_studies(studies: Iterable[TunedStudy]) -> list[TunedStudy]:
+    """Return the studies of equal data as one each, those with which work went on last at the end."""
+    equal: dict[tuple[Any, ...], list[TunedStudy]] = {}
+    for one in sorted(studies, key=lambda one: one.began_s):
+        key = (one.spec.is_baseline, *one.spec.data)
+        equal[key] = [*equal.pop(key, []), one]
+    return [joined(one) for one in equal.values()]
+
+
+def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
     training = trial.user_attrs.get("training", {})
     began = trial.datetime_start.timestamp() if trial.datetime_start else 0.0
     ended = trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0
@@ -94,6 +109,7 @@ def _view(trial: FrozenTrial) -> TrialView:
     usual = "" if trial.state == TrialState.WAITING else "start-up"
     state = "failed" if trial.state == TrialState.FAIL else trial.state.name.lower()
     return TrialView(
+        spec=spec,
         number=trial.number,
         state=state,
         params=dict(trial.params),

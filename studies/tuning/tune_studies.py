@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import optuna
@@ -18,13 +18,22 @@ from studies.results.trials import TunedStudy
 from studies.task import StageError
 from studies.tracking.runs import RunStore
 from studies.tracking.sending import begin_sending
-from studies.tracking.study_run import close_study, end_left_runs, open_study_run, without_deleted
+from studies.tracking.study_run import (
+    close_study,
+    end_left_runs,
+    open_study_run,
+    promote,
+    without_deleted,
+)
 from studies.tuning import attempts
 from studies.tuning.forked_worker import ForkedWorker
 from studies.tuning.storage import storage_of, study_locked
-from studies.tuning.study_results import latest_studies, read_studies, read_study
+from studies.tuning.study_results import joined_studies, latest_studies, read_studies
 from studies.words.wording import setting, significant
 
+_LOG = logging.getLogger(__name__)
+OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
+OnLine = Callable[[str], None]
 POLL_S = 0.5
 MAX_DEATHS = 3
 """Deaths of a worker in a row that brought no trial to its end."""
@@ -52,16 +61,30 @@ class _Part:
             attempts.retry_lost(self.study)
         end_left_runs(self.runs, self.study, self.spec)
 
-    def close(self, on_warning: Callable[[str], None]) -> TunedStudy:
-        """Register the best surrogate of a study and end its run."""
-        found, fault = without_deleted(self.runs, read_study(self.study))
+    def close(self, on_warning: OnLine, on_promotion: OnLine) -> TunedStudy:
+        """Register the best surrogate of all studies of equal data, and end the run of this one."""
+        every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
+        (found,) = joined_studies(one for one in every if one.spec.has_equal_data(self.spec))
+        found, fault = without_deleted(self.runs, found)
         if fault:
             on_warning(fault)
-        if self.study.user_attrs.get(attempts.GONE, []) != sorted(found.gone):
-            self.study.set_user_attr(attempts.GONE, sorted(found.gone))
-        close_study(self.runs, self.spec, found, self.run_id)
-        self.study.set_user_attr(attempts.CLOSED, len(found.trials))
-        return found
+        close_study(self.runs, found.of(self.spec.name), self.run_id)
+        version, why = promote(self.runs, found)
+        if why:
+            on_promotion(why)
+        if found.best is not None and version is not None:
+            found = replace(found, versions={**found.versions, found.best.run_id: version})
+        for name in {self.spec.name, *(trial.spec.name for trial in found.trials)}:
+            study = optuna.load_study(study_name=name, storage=self.storage)
+            noted = {
+                attempts.GONE: sorted(found.gone),
+                attempts.VERSIONS: dict(found.versions),
+                attempts.CLOSED: found.of(name).n_ended,
+            }
+            for key, value in noted.items():
+                if study.user_attrs.get(key) != value:
+                    study.set_user_attr(key, value)
+        return replace(found, n_closed=found.n_ended)
 
 
 @dataclass
@@ -124,10 +147,6 @@ class _Size:
                 part.runs.end(part.run_id, "KILLED")
 
 
-_LOG = logging.getLogger(__name__)
-OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
-
-
 def tune(
     specs: Sequence[Declaration],
     *,
@@ -138,7 +157,8 @@ def tune(
     until_s: float | None = None,
     provenance: Mapping[str, Any] | None = None,
     on_trials: OnTrials = lambda spec, trials: None,
-    on_warning: Callable[[str], None] = _LOG.warning,
+    on_warning: OnLine = _LOG.warning,
+    on_promotion: OnLine = _LOG.info,
 ) -> list[TunedStudy]:
     """Bring every study to `n_trials` trials and register its best surrogate.
 
@@ -156,9 +176,10 @@ def tune(
         provenance: what makes the data sets again, kept with every trial.
         on_trials: called with the trials of a study that is worked on, about twice a second.
         on_warning: called with one line that a user should see.
+        on_promotion: called with one line that says why another surrogate is the best of a size now.
 
     Returns:
-        The studies as they stand, in the order given.
+        The studies as they stand, each with those of equal data, in the order given.
 
     Raises:
         InputError: a study cannot be run as declared, or the storage cannot be used.
@@ -201,7 +222,9 @@ def tune(
                     on_trials(part.spec, part.trials)
                 for size in largest_first if may_begin or is_late else []:
                     if not size.workers and size not in waiting and not size.results:
-                        size.results = {part.spec.name: part.close(on_warning) for part in size.parts}
+                        size.results = {
+                            part.spec.name: part.close(on_warning, on_promotion) for part in size.parts
+                        }
                 if not busy and not waiting:
                     break
                 time.sleep(POLL_S)
@@ -240,8 +263,11 @@ def closed_studies(
     specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int
 ) -> list[TunedStudy] | None:
     """Return the studies where all of them are finished and registered, None where work is left."""
-    known = {one.spec.name: one for one in read_studies(paths, label=specs[0].label)}
-    found = [known[spec.name] for spec in specs if spec.name in known]
+    known = joined_studies(read_studies(paths, label=specs[0].label))
+    found = [one for spec in specs for one in known if one.spec.has_equal_data(spec)]
+    if len(found) != len(specs):
+        return None
     are_ended = all(one.n_closed == one.n_ended == len(one.trials) for one in found)
-    are_enough = all(one.n_ended >= (1 if one.spec.is_baseline else n_trials) for one in found)
-    return found if len(found) == len(specs) and are_ended and are_enough else None
+    alone = [one.of(spec.name) for one, spec in zip(found, specs, strict=True)]
+    are_enough = all(one.n_ended >= (1 if one.spec.is_baseline else n_trials) for one in alone)
+    return found if are_ended and are_enough else None

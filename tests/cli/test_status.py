@@ -116,7 +116,14 @@ def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(
     assert (size["mae"], size["p90"]) == (best.user_attrs["test/mae"], best.user_attrs["test/p90"])
     assert size["gain"] == pytest.approx(1 - best.value / default.value)
     assert size["baseline"]["test/mae"] == beside.user_attrs["test/mae"]
+    assert size["model_uri"] is None  # nothing was registered yet
+    assert "load_model" not in studies("best").out
+    study.set_user_attr("closed", 8)  # as versions of before left it
+    (size,) = studies("best", "--json").document["sizes"]
     assert size["model_uri"] == "models:/office-quick-n0064@champion"
+    study.set_user_attr("versions", {best.user_attrs["mlflow_run_id"]: 3})
+    (size,) = studies("best", "--json").document["sizes"]
+    assert size["model_uri"] == "models:/office-quick-n0064/3"
     loaded = optuna.load_study(study_name=size["study"], storage=document["optuna_storage"])
     assert loaded.best_trial.number == best.number
     shown = studies("best").out

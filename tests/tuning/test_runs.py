@@ -114,7 +114,7 @@ def test_a_registration_leaves_the_process_as_it_was(copied: ProjectPaths, tmp_p
     assert baseline.best is not None
     mlflow.set_tracking_uri(f"sqlite:///{tmp_path}/own.db")
     before = mlflow.get_tracking_uri(), sys.path.copy(), dict(os.environ), warnings.filters.copy()
-    register_best(RunStore(copied), baseline.spec, baseline.best)  # which tuning does for networks alone
+    register_best(RunStore(copied), baseline.best)  # which tuning does for networks alone
     assert (mlflow.get_tracking_uri(), sys.path, dict(os.environ), warnings.filters) == before
     assert not (tmp_path / "own.db").exists()  # nothing was asked of it either
 
