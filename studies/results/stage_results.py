@@ -111,6 +111,8 @@ class TunedSize:
         wall_s: Training time of all trials together. [s]
         to_go_s: Training time of the trials to come, on one core; None before the first trial. [s]
         gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
+        gain_deviation: Its standard deviation from seed to seed; None where it was not confirmed. [1]
+        n_seeds: Further seeds of both, whose means the gain compares; 0 where it was not confirmed.
         trial: Number of the best trial; None without a complete one, as all that follows.
         run_id: MLflow's run of the best trial.
         model_uri: Address by which MLflow loads the best surrogate; None for a baseline, too.
@@ -140,6 +142,8 @@ class TunedSize:
     wall_s: float
     to_go_s: float | None
     gain: float | None
+    gain_deviation: float | None = None
+    n_seeds: int = 0
     trial: int | None = None
     run_id: str | None = None
     model_uri: str | None = None

@@ -69,7 +69,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
     budget, sizes = task.profile.tuning, task.profile.data.n_train
     started_s = time.perf_counter()
     specs = declarations(task, simulated.result)
-    found = closed_studies(specs, task.paths, budget.n_trials)
+    found = closed_studies(specs, task.paths, budget.n_trials, budget.confirm)
     if found is not None:
         n = sum(one.n_ended for one in found)
         task.console.say(f"tune: finished before, {count(n, 'trial')} reused")
@@ -94,6 +94,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
             on_trials=show,
             on_warning=task.console.warn,
             on_promotion=task.console.say,
+            confirm=budget.confirm,
         )
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]
@@ -202,7 +203,8 @@ def _progress(
 ) -> tuple[int, int, float | None]:
     """Return what is done of a task, what there is to do, and its best error so far."""
     latest = places(trials)
-    total = max(1 if spec.is_baseline else n_trials, len(latest))
+    planned = 1 if spec.is_baseline else 0 if spec.is_confirmation else n_trials
+    total = max(planned, len(latest))
     done = sum(trial.state.is_finished() for trial in latest)
     values = [t.value for t in latest if t.state.name == "COMPLETE" and t.value is not None]
     return done, total, min(values, default=None)

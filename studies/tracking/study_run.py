@@ -25,7 +25,8 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
     if run_id is not None and runs.is_there(run_id):
         runs.open_again(run_id)
         return run_id
-    role = "baseline study" if spec.is_baseline else "study"
+    kind = "baseline " if spec.is_baseline else "confirmation " if spec.is_confirmation else ""
+    role = f"{kind}study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
     tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
     made = runs.begin(spec.label, f"{spec.size} study", tags)
@@ -37,7 +38,7 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
     """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
-    left = runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING")
+    left = runs.find(spec.label, {"role": spec.role, "study": spec.name}, status="RUNNING")
     trials = study.get_trials(deepcopy=False)  # later than the runs, so that each run has its trial
     for run in left:
         number = int(run.data.tags.get("trial", -1))
@@ -57,8 +58,8 @@ def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, s
     found, fault, way_back = replace(found, gone=frozenset()), "", ""
     while (best := found.best) is not None:
         is_there = runs.is_there(best.run_id)
-        # Of trials that were not the best when they ended no weights were kept.
-        if is_there and (not fault or runs.has(best.run_id, SURROGATE)):
+        # Weights are kept of trials that were among the best when they ended.
+        if is_there and runs.has(best.run_id, SURROGATE):
             break
         if not is_there and not fault:
             fault = f"{best.spec.name}: the run of its best trial, {best.number}, was deleted in MLflow"
@@ -70,21 +71,25 @@ def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, s
     return found, fault
 
 
-def close_study(runs: RunStore, found: "TunedStudy", run_id: str) -> None:
+def close_study(runs: RunStore, found: "TunedStudy", spec: Declaration, run_id: str) -> None:
     """Write what a study came to on its run, and end the run.
 
     Args:
         runs: the project's runs.
-        found: the study alone.
+        found: all studies whose errors compare.
+        spec: the study.
         run_id: its run.
     """
-    best = found.best
-    numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
+    alone = found.of(spec.name)
+    best = alone.best
+    numbers: dict[str, float] = {f"n_{one}": alone.count(one) for one in ("complete", "pruned", "failed")}
+    if found.gain is not None and found.gain_deviation is not None:
+        numbers |= {"confirmed/gain": found.gain, "confirmed/gain_deviation": found.gain_deviation}
     if best is not None:
         numbers |= {f"best/{name}": value for name, value in best.metrics.items()}
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
-        if found.gain is not None:
-            numbers["best/gain_over_default"] = found.gain
+        if alone.gain is not None:
+            numbers["best/gain_over_default"] = alone.gain
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED")
 

@@ -112,7 +112,10 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         spec=spec,
         number=trial.number,
         state=state,
-        params=dict(trial.params),
+        # What was given to a trial that did not begin yet.
+        params={**trial.system_attrs.get("fixed_params", {}), **trial.params}
+        if spec.is_confirmation
+        else dict(trial.params),
         value=value,
         metrics=errors_of(state, trial.value, trial.user_attrs),
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),
