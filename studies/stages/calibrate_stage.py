@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from pelsvae.mean_surrogate import MeanSurrogate
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
 from studies.calibration.optimizers import Optimizer, optimizer_of
@@ -49,7 +50,7 @@ def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, TrialV
     return {n: found[n] for n in sorted(set(asked or found))}
 
 
-def best_surrogate(task: Task, n_train: int) -> Surrogate:
+def best_surrogate(task: Task, n_train: int) -> Surrogate | MeanSurrogate:
     """Load the best surrogate of a size from its MLflow run, on the CPU wherever it was trained.
 
     Raises:
@@ -109,7 +110,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
 
 
 def calibrate(
-    task: Task, surrogate: Surrogate, n_train: int, origin: Mapping[str, Any] | None = None
+    task: Task, surrogate: Surrogate | MeanSurrogate, n_train: int, origin: Mapping[str, Any] | None = None
 ) -> Calibration:
     """Calibrate and keep nothing but the simulations.
 

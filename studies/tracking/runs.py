@@ -39,6 +39,7 @@ from studies.tracking.study_tags import NOTE, TRACKING
 from studies.words.wording import difference_unit
 
 if TYPE_CHECKING:
+    from pelsvae.mean_surrogate import MeanSurrogate
     from pelsvae.surrogate import Surrogate
     from studies.results.trials import TrialView
     from studies.task import Task
@@ -286,11 +287,11 @@ def metric_name(name: str) -> str:
 
 
 SURROGATE = "surrogate"
-"""Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""
+"""Artifact of a trial's run: the weights, of trials that were among the best when they ended."""
 
 
-def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate":
-    """Load the surrogate of a trial from its run.
+def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate | MeanSurrogate":
+    """Load the surrogate of a trial, or a mean of several, from its run.
 
     Raises:
         InputError: the run has no weights, or they are damaged or out of reach.
