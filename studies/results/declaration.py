@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -127,7 +127,7 @@ class Declaration:
         return size_name(self.n_train) + kind
 
     @property
-    def role(self) -> str:
+    def role(self) -> Literal["trial", "confirmation"]:
         """What the runs of its trials are called in MLflow."""
         return "confirmation" if self.is_confirmation else "trial"
 

@@ -8,6 +8,7 @@ from statistics import fmean, stdev
 from typing import Any
 
 from pelsvae.config import SurrogateConfig
+from studies.results.best_mean import BestMean, MeanPart, in_words
 from studies.results.declaration import CROSS_VALIDATED, Declaration
 from studies.results.stage_results import TunedSize
 from studies.words.wording import difference_unit
@@ -34,6 +35,7 @@ class TrialView:
         best_epoch: epoch whose weights were kept.
         began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
+        parts: what a mean is made of, whose leading trial this is then; none of a trial alone.
     """
 
     spec: Declaration
@@ -49,6 +51,13 @@ class TrialView:
     best_epoch: int
     began_s: float
     weights_sha256: str
+    parts: tuple[MeanPart, ...] = ()
+
+    @property
+    def model(self) -> str:
+        """What it is, in words."""
+        further = " of further seeds" if self.spec.is_confirmation else ""
+        return in_words(self.parts) if self.parts else f"trial {self.number}{further}"
 
     @cached_property
     def settings(self) -> SurrogateConfig:
@@ -67,6 +76,7 @@ class TunedStudy:
         n_closed: trials that had ended when its best surrogate was registered; 0 before.
         gone: runs that cannot be recommended: deleted by their owner, or second to one and without weights.
         versions: versions of registered models, by run.
+        mean: the best mean of its surrogates; None where none was looked for.
     """
 
     spec: Declaration
@@ -75,6 +85,7 @@ class TunedStudy:
     n_closed: int = 0
     gone: frozenset[str] = frozenset()
     versions: Mapping[str, int] = field(default_factory=dict)
+    mean: BestMean | None = None
 
     def count(self, state: str) -> int:
         """Return the number of trials in a state."""
@@ -115,10 +126,28 @@ class TunedStudy:
 
     @cached_property
     def best(self) -> TrialView | None:
-        """The completed trial of least validation error; of confirmed settings, those of least mean.
+        """The best trial, or the mean of several where it is worth it.
 
         The alias, the tag, tables, the report and calibrations all ask here.
         """
+        trial, mean = self.best_trial, self.mean
+        if trial is None or mean is None or mean.run_id in self.gone:
+            return trial
+        if not mean.is_worth_it(trial.value or 0.0):
+            return trial
+        return replace(
+            trial,
+            params=trial.params if trial.run_id in [one.run_id for one in mean.parts] else {},
+            value=mean.metrics["val/mae"],
+            metrics=mean.metrics,
+            run_id=mean.run_id,
+            weights_sha256=mean.weights_sha256,
+            parts=mean.parts,
+        )
+
+    @cached_property
+    def best_trial(self) -> TrialView | None:
+        """The completed trial of least validation error; of confirmed settings, those of least mean error."""
         means = {settings: fmean(errors) for settings, errors in self.confirmed.items()}
         chosen = min(means, key=lambda one: means[one], default=None)
         return next((one for one in self.usable if chosen in (None, one.settings)), None)
@@ -136,16 +165,17 @@ class TunedStudy:
         """Part of the default configuration's error that tuning took away; of means where confirmed."""
         if (seeds := self._seeds) is not None:
             return 1.0 - fmean(seeds[0]) / fmean(seeds[1])
-        if self.best is None or self.default is None or not self.default.value or self.best.value is None:
+        best, default = self.best_trial, self.default
+        if best is None or default is None or not default.value or best.value is None:
             return None
-        return 1.0 - self.best.value / self.default.value
+        return 1.0 - best.value / default.value
 
     @property
     def gain_deviation(self) -> float | None:
         """Standard deviation of the gain from seed to seed, None where it was not confirmed."""
         if (seeds := self._seeds) is None or min(map(len, seeds)) < 2:
             return None
-        if self.best is not None and self.default is not None and self.best.settings == self.default.settings:
+        if seeds[0] is seeds[1]:  # the default is the best
             return 0.0
         best, default = seeds
         ratio = fmean(best) / fmean(default)
@@ -154,9 +184,9 @@ class TunedStudy:
     @property
     def _seeds(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         """Errors of further seeds of the best and of the default settings."""
-        if not self.confirmed or self.best is None or self.default is None:
+        if not self.confirmed or self.best_trial is None or self.default is None:
             return None
-        best, default = (self.confirmed.get(one.settings) for one in (self.best, self.default))
+        best, default = (self.confirmed.get(one.settings) for one in (self.best_trial, self.default))
         return (best, default) if best and default else None
 
     @property
@@ -190,6 +220,7 @@ class TunedStudy:
             more |= {"trial": best.number, "run_id": best.run_id, "params": dict(best.params)}
             more |= {name: best.metrics.get(f"{spec.judged_by}/{name}") for name in ("mae", "p90")}
             more |= {"metrics": dict(best.metrics), "study": best.spec.name, "surrogate": best.spec.surrogate}
+            more |= {"model": best.model, "parts": best.parts}
         return TunedSize(
             label=spec.label,
             case=spec.case_name,
@@ -245,6 +276,7 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
         n_closed=sum(one.n_closed for one in studies),
         gone=frozenset().union(*(one.gone for one in studies)),
         versions={run: version for one in studies for run, version in one.versions.items()},
+        mean=next((one.mean for one in (last, *reversed(others)) if one.mean is not None), None),
     )
 
 

@@ -97,6 +97,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
     origin = {
         "study": best.spec.name,
         "trial": best.number,
+        "model": best.model,
         "run_id": best.run_id,
         "params": dict(best.params),
         "errors": dict(best.metrics),

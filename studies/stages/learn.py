@@ -12,6 +12,7 @@ from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
 from studies.calibration.hidden_network.inputs import drive_of
+from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
 from studies.results.declaration import DRIVE, Declaration, digest_of_arrays
 from studies.results.outcome import Outcome, digest_of
@@ -221,4 +222,4 @@ def _outcome(
 def show_tuning(task: Task, found: Tuned) -> None:
     """Print the best surrogate of each size."""
     if (table := tuning_table(found.studies)) is not None:
-        task.console.show([table])
+        task.console.show([table, *mean_sentences(found.studies)])

@@ -1,7 +1,8 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import optuna
 
@@ -62,11 +63,11 @@ def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, s
         if is_there and runs.has(best.run_id, SURROGATE):
             break
         if not is_there and not fault:
-            fault = f"{best.spec.name}: the run of its best trial, {best.number}, was deleted in MLflow"
+            fault = f"{best.spec.name}: the run of its best surrogate, {best.model}, was deleted in MLflow"
             way_back = f"mlflow runs restore --run-id {best.run_id}"
         found = replace(found, gone=found.gone | {best.run_id})
     if fault:
-        instead = "no other trial has weights" if best is None else f"trial {best.number} takes its place"
+        instead = "no other trial has weights" if best is None else f"{best.model} takes its place"
         fault += f": {instead}; to have it back: {way_back}"
     return found, fault
 
@@ -116,22 +117,54 @@ def promote(runs: RunStore, found: "TunedStudy") -> tuple[int | None, str]:
     if before is None or int(before.version) == version:
         return version, ""
     why = f"n_train {found.spec.n_train}: {_shown(best)} is the best surrogate now, version {version}; "
-    why += f"version {before.version} was: {_why_not(found, before.run_id)}"
+    why += f"version {before.version} was: {_why_not(runs, found, before.run_id or '')}"
     runs.client.set_model_version_tag(best.spec.model_name, str(version), PROMOTED, why)
     return version, why
 
 
-def _why_not(found: "TunedStudy", run_id: str | None) -> str:
+def _why_not(runs: RunStore, found: "TunedStudy", run_id: str) -> str:
     """Say why the surrogate of a run is not the best one any more."""
     before = next((one for one in found.trials if one.run_id == run_id), None)
     if before is None:
-        return "it is of other data, or its trial was deleted"
+        is_mean = runs.is_there(run_id) and runs.client.get_run(run_id).data.tags.get("role") == "mean"
+        return "a mean of other trials" if is_mean else "it is of other data, or its trial was deleted"
     return f"{_shown(before)}" + (", deleted in MLflow" if before.run_id in found.gone else "")
 
 
 def _shown(trial: "TrialView") -> str:
     unit = difference_unit(trial.spec.output_unit)
-    return f"trial {trial.number} of {trial.spec.name} (validation MAE {quantity(trial.value or 0.0, unit)})"
+    return f"{trial.model} of {trial.spec.name} (MAE {quantity(trial.value or 0.0, unit)} on validation rows)"
+
+
+def log_mean(
+    runs: RunStore,
+    spec: Declaration,
+    *,
+    params: dict[str, Any],
+    metrics: dict[str, float],
+    record: dict[str, Any],
+    weights: Path,
+) -> str:
+    """Write a mean of surrogates as a run of its own, and return its id.
+
+    Args:
+        runs: the project's runs.
+        spec: the study.
+        params: what it is made of.
+        metrics: its errors and shares.
+        record: what makes it again.
+        weights: folder of the saved surrogate.
+    """
+    role = {"role": "mean", "study": spec.name}
+    # A killed command left it.
+    for left in runs.find(spec.label, role, status="RUNNING"):
+        runs.end(left.info.run_id, "KILLED")
+    run_id = runs.begin(spec.label, f"{spec.size} mean", {**role, "n_train": spec.n_train})
+    runs.log(run_id, params={"n_train": spec.n_train, **params}, metrics=metrics)
+    runs.log_record(run_id, record)
+    runs.log_files(run_id, sorted(weights.iterdir()), SURROGATE)
+    runs.end(run_id, "FINISHED")
+    return run_id
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

@@ -32,6 +32,8 @@ VERSIONS = "versions"
 """Attribute of a study: versions of models in MLflow's registry, by run."""
 CONFIRMATION = "confirmation"
 """Who proposed a trial that trains the configuration of another one with a further seed."""
+MEAN = "mean"
+"""Attribute of a study: the best mean of its surrogates."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
 _SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile

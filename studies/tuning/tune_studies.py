@@ -15,7 +15,8 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.profile import Confirmation
 from studies.results.declaration import Declaration
-from studies.results.trials import TunedStudy
+from studies.results.saved import plain
+from studies.results.trials import TunedStudy, joined
 from studies.task import StageError
 from studies.tracking.runs import RunStore
 from studies.tracking.sending import begin_sending
@@ -29,6 +30,7 @@ from studies.tracking.study_run import (
 from studies.tuning import attempts
 from studies.tuning.confirmations import to_confirm
 from studies.tuning.forked_worker import ForkedWorker
+from studies.tuning.means import best_mean
 from studies.tuning.storage import storage_of, study_locked
 from studies.tuning.study_results import joined_studies, latest_studies, read_studies
 from studies.words.wording import setting, significant
@@ -78,6 +80,11 @@ class _Part:
         found, fault = without_deleted(self.runs, found)
         if fault:
             on_warning(fault)
+        if not self.spec.is_baseline:
+            beside = [one for one in every if one.spec.is_baseline and one.spec.data == self.spec.data]
+            baseline = joined(beside).best if beside else None
+            mean = best_mean(self.runs, self.paths, found, baseline, self.provenance or {})
+            found = replace(found, mean=mean)
         close_study(self.runs, found, self.spec, self.run_id)
         version, why = promote(self.runs, found)
         if why:
@@ -90,6 +97,7 @@ class _Part:
             noted = {
                 attempts.GONE: sorted(found.gone),
                 attempts.VERSIONS: dict(found.versions),
+                attempts.MEAN: None if found.mean is None else plain(found.mean),
                 attempts.CLOSED: found.of(name).n_ended,  # of confirmations too, where they stand alone
             }
             for key, value in noted.items():
