@@ -2,21 +2,20 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from simulation.errors import InputError
 from simulation.pool.pool_model import PoolModel
-from studies.doctor.finding import Diagnosis
 from studies.opening import sizes
 from studies.physical_model import store_file
+from studies.simulation_time import Timed, known_time, shown_time
 from studies.stages.adaptive_stage import MAX_CALLS
-from studies.stages.finished import stored
 from studies.stages.simulate_stage import missing_rows
 from studies.stages.tuned_trials import tuned_by_size
 from studies.task import Task
 from studies.tuning.confirmations import to_confirm
 from studies.words.console import Column, format_seconds
-from studies.words.wording import count, significant
+from studies.words.wording import count
 
 WORDS = {
     "simulate": "simulations of the sets",
@@ -25,6 +24,8 @@ WORDS = {
     "search": "simulations, at most",
     "budget": "simulations of the whole run, at most",
 }
+LONG_S = 3600.0
+"""A run that takes longer says so before it begins."""
 N_TIMED, QUICK_S = 4, 1.0
 """Simulations that are timed where none was before, of those that take less than a second; else one."""
 
@@ -48,14 +49,14 @@ def foretell(task: Task, command: str, given: Mapping[str, Any]) -> None:
     ]
     trials = [] if is_search else list(_trials(task))
     rows: list[list[object]] = [
-        [WORDS[one["stage"]], one["n_simulations"], _shown(one["simulations_s"])] for one in plan
+        [WORDS[one["stage"]], one["n_simulations"], shown_time(one["simulations_s"])] for one in plan
     ]
     for one in trials:
         left_s = one["training_s"]
         time = "unknown before the first trial" if left_s is None else format_seconds(left_s)
         rows.append([f"trials, n_train {one['n_train']}, on one core", one["n_left"], time])
     columns = [Column("what"), Column("to do", True), Column("time", True)]
-    how = f"{_shown(each_s)} each, {count(n_workers, 'at a time', 'at a time')}"
+    how = f"{shown_time(each_s)} each, {count(n_workers, 'at a time', 'at a time')}"
     task.console.table(f"{task.label}: what would be done ({how}; nothing is written)", columns, rows)
     if is_search:
         task.console.result("Between two simulations the search thinks: mostly less than 0.2 s.")
@@ -73,27 +74,14 @@ def foretell(task: Task, command: str, given: Mapping[str, Any]) -> None:
     )
 
 
-class Timed(NamedTuple):
-    """What a simulation takes.
-
-    Attributes:
-        simulation_s: The simulation. [s]
-        opening_s: A process that opens the model; 0 where that was not measured. [s]
-    """
-
-    simulation_s: float
-    opening_s: float = 0.0
-
-
 def time_simulations(task: Task) -> Timed:
-    """Return how long a simulation takes, as `studies check` has measured it, or measured now.
+    """Return how long a simulation takes, as it was measured before, or measured now.
 
     Raises:
         InputError: it fails.
     """
-    checked = stored(task, "check", Diagnosis)
-    if checked is not None and checked.simulation_s > 0.0:
-        return Timed(checked.simulation_s)
+    if (known := known_time(task.paths, task.case)) is not None:
+        return known
     # Of several experiments one stands for the others.
     n = max(len(task.case.experiments), 1)
     case = next(iter(task.case.experiments), task.case)
@@ -109,6 +97,25 @@ def time_simulations(task: Task) -> Timed:
             if n_done and (model.simulation_s or 0.0) > QUICK_S:
                 break
         return Timed(n * (model.simulation_s or 0.0), n * model.opening_s)
+
+
+def warn_of_hours(task: Task) -> None:
+    """Name the time of a run whose simulations take more than an hour, and commands that take fewer."""
+    timed = known_time(task.paths, task.case)
+    if timed is None:
+        return
+    n, each_s = sum(n for _, n in _simulations(task, "run", {})), timed.simulation_s
+    if n * each_s / task.n_jobs <= LONG_S:
+        return
+    cheaper = {
+        f"studies run {task.case.name} --simulations {MAX_CALLS}": MAX_CALLS * each_s / task.n_jobs,
+        f"studies calibrate {task.case.name}": MAX_CALLS * each_s,
+    }
+    task.console.warn(
+        f"up to {count(n, 'simulation')} are to come, {shown_time(each_s)} each: about "
+        f"{shown_time(n * each_s / task.n_jobs)} in all; "
+        + ", ".join(f"`{command}` takes at most {shown_time(s)}" for command, s in cheaper.items())
+    )
 
 
 def _simulations(task: Task, command: str, given: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
@@ -141,8 +148,3 @@ def _trials(task: Task) -> Iterator[dict[str, Any]]:
         n_left = max(budget.n_trials - (0 if alone is None else alone.n_ended), 0) + n_confirm
         left_s = None if alone is None else replace(alone, n_planned=alone.n_ended + n_left).to_go_s
         yield {"n_train": n_train, "n_left": n_left, "training_s": left_s}
-
-
-def _shown(seconds: float) -> str:
-    """Write a duration; a short one in milliseconds."""
-    return f"{significant(1000.0 * seconds)} ms" if 0.0 < seconds < 1.0 else format_seconds(seconds)

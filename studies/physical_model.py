@@ -5,6 +5,7 @@ With state equations its states are read, too: `StoredWatchedModel`.
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from studies.calibration.state_equations.states import (
 )
 from studies.paths import ProjectPaths
 from studies.results.saved import read_json
+from studies.simulation_time import Timed, note_time
 from studies.task import StageError, Task
 
 
@@ -95,6 +97,11 @@ def open_physical_model(
         except ReuseError:
             give_up_reuse(task)
             raise
+        finally:
+            if case is task.case:
+                opening_s = model.opening_s if isfinite(model.opening_s) else 0.0
+                n, simulation_s = max(len(case.experiments), 1), model.simulation_s or 0.0
+                note_time(task.paths, case, Timed(n * simulation_s, n * opening_s))
 
 
 def never_reused_file(paths: ProjectPaths, case: Case) -> Path:

@@ -311,6 +311,7 @@ def run(
     """
     task = opened("run", locals())
     from studies.doctor import say_warnings
+    from studies.forecast import warn_of_hours
     from studies.stages.calibrate_stage import calibrate_stage, polisher
     from studies.stages.check_stage import check_stage
     from studies.stages.learn import require_tuning, tune_stage
@@ -332,6 +333,7 @@ def run(
     if not checked.result.is_sound:
         raise UnsoundError(CheckResult(task, checked))
     say_warnings(task.console, checked.result)
+    warn_of_hours(task)
     simulated = simulate_stage(task)
     before = [checked, simulated, sensitivity_stage(task), tune_stage(task, simulated)]
     sizes = task.profile.data.n_train

@@ -26,6 +26,7 @@ from studies.doctor.finding import Diagnosis, Finding, finding, named
 from studies.doctor.means import look_at_means, rows_for_means
 from studies.doctor.names import look_at_names
 from studies.physical_model import give_up_reuse, never_reused_file, open_physical_model
+from studies.simulation_time import Timed, note_time
 from studies.task import Task
 from studies.words.console import format_seconds
 
@@ -50,7 +51,10 @@ def examine(task: Task, *, is_thorough: bool = False, limit_s: float = EXAMINATI
     case, until = task.case, monotonic() + limit_s
     if not case.experiments:
         one = _Examination(task, is_thorough=is_thorough, limit_s=limit_s)
-        return Diagnosis((*one.findings(), *one.of_effects()), one.budget.simulation_s)
+        findings = (*one.findings(), *one.of_effects())
+        simulation_s = one.budget.simulation_s
+        note_time(task.paths, case, Timed(simulation_s, max(one.budget.opening_s - simulation_s, 0.0)))
+        return Diagnosis(findings, one.budget.simulation_s)
     found, longest_s, parts = list[Finding](), 0.0, dict[str, effects.Effects | None]()
     members = list(named_experiments(case))
     for n_before, (name, member) in enumerate(members):
@@ -64,6 +68,7 @@ def examine(task: Task, *, is_thorough: bool = False, limit_s: float = EXAMINATI
     found.append(look_at_number_of_values(case))
     whole = effects.over_experiments(case, [parts[one.name] for one, _ in case.members])
     found += filter(None, [effects.look_at_effects(whole)])
+    note_time(task.paths, case, Timed(len(members) * longest_s))
     return Diagnosis(tuple(found), longest_s)
 
 

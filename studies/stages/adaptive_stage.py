@@ -23,6 +23,7 @@ from studies.calibration.state_equations.states import StateSignals, why_unwatch
 from studies.physical_model import StoredWatchedModel, open_physical_model, open_watched_model, say_reused
 from studies.results.outcome import Outcome, digest_of
 from studies.results.stage_results import ADAPTIVE, Calibration, EquationsFound
+from studies.simulation_time import duration
 from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Stage
@@ -91,6 +92,7 @@ def adaptive_stage(
     equations = "state equations or " if learns else ""
     what = (
         f"{equations}a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most"
+        f"{duration(task, settings.max_calls, min(n_parallel, task.n_jobs))}"
     )
     stage = Stage(task, STAGE, what, inputs, Calibration, {"kind": "adaptive", "settings": asdict(settings)})
     start, files = None, list[Path]()

@@ -16,6 +16,7 @@ from studies.profile import Profile
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Screened
 from studies.results.trials import TrialView
+from studies.simulation_time import duration
 from studies.stages.calibrated_point import calibration_at, repeat_best, validation_inputs
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Stage
@@ -24,6 +25,7 @@ from studies.stages.tuned_trials import tuned_by_size
 from studies.surrogate_model import SurrogateModel
 from studies.task import Task
 from studies.tracking.runs import load_surrogate, run_store
+from studies.words.wording import count
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
@@ -91,7 +93,9 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
     polisher(profile)  # a wrong name is said before hours of work
     name = profile.polish.optimizer["name"]
     polish = "LS-TRF" if name == "LeastSquaresTRF" else name
-    what = f"differential evolution on the surrogate, then {polish} on the FMU"
+    n = profile.polish.max_calls
+    what = f"differential evolution on the surrogate, then {polish} on the FMU, "
+    what += f"{count(n, 'simulation')} at most{duration(task, n)}"
     made = {"kind": "calibration", "n_train": n_train, "surrogate_run": best.run_id}
     stage = Stage(task, f"calibrate-{size_name(n_train)}", what, inputs, Calibration, made)
     origin = {

@@ -19,6 +19,7 @@ from studies.reporting.drawing import write_picture
 from studies.reporting.figures_calibration import prediction_figure
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Prediction, Uncertainty
+from studies.simulation_time import duration
 from studies.stages.finished import stored_uncertainties
 from studies.stages.knowledge import case_inputs
 from studies.stages.pipeline import Stage
@@ -63,7 +64,7 @@ def predict_stage(
     if recording is not None:
         # Recordings of one name differ in what they hold.
         place += f"-{case.model_digest[:8]}"
-    what = f"{count(len(theta), 'simulation')} with {source}"
+    what = f"{count(len(theta), 'simulation')} with {source}{duration(task, len(theta))}"
     stage = Stage(task, f"predict-{calibration.name}-{place}", what, inputs, Prediction)
     table, picture = (stage.file.with_suffix(ending) for ending in (".csv", ".png"))
 

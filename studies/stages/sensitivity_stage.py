@@ -3,6 +3,7 @@
 from studies.calibration.sobol import SobolIndices, sobol_indices, with_error_of_surrogate
 from studies.physical_model import open_physical_model, say_reused
 from studies.results.outcome import Outcome
+from studies.simulation_time import duration
 from studies.stages.calibrate_stage import best_surrogate, tuned_with_best
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_sensitivity
@@ -26,7 +27,7 @@ def sensitivity_stage(task: Task) -> Outcome[SobolIndices]:
     stage = Stage(
         task,
         "sensitivity",
-        f"Sobol indices from {n_rows} simulations",
+        f"Sobol indices from {n_rows} simulations{duration(task, n_rows)}",
         inputs,
         SobolIndices,
         {"kind": "sensitivity"},

@@ -13,6 +13,7 @@ from studies.profile import Profile
 from studies.results.outcome import Outcome, digest_of
 from studies.results.row_set import RowSet
 from studies.results.stage_results import SimulatedSets
+from studies.simulation_time import duration
 from studies.stages.pipeline import Stage
 from studies.task import Task
 from studies.words.console import Column
@@ -55,7 +56,9 @@ def simulate_stage(task: Task) -> Outcome[SimulatedSets]:
         "seeds": set_seeds(task.profile),
         "design": "uniform",
     }
+    n_missing = missing_rows(task)[0]
     what = f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})"
+    what += duration(task, n_missing)
     stage = Stage(task, "simulate", what, inputs, SimulatedSets)
     sets = {name: RowSet(theta, store, _set_file(task, name, theta)) for name, theta in designs.items()}
 
@@ -82,7 +85,7 @@ def simulate_stage(task: Task) -> Outcome[SimulatedSets]:
             n_reused=model.n_reused,
         )
 
-    return stage.once(simulate, again=missing_rows(task)[0] > 0, files=[rows.file for rows in sets.values()])
+    return stage.once(simulate, again=n_missing > 0, files=[rows.file for rows in sets.values()])
 
 
 def missing_rows(task: Task) -> tuple[int, int]:

@@ -34,6 +34,7 @@ from studies.results.stage_results import (
     SampleFound,
     Uncertainty,
 )
+from studies.simulation_time import duration
 from studies.stages.adaptive_stage import learned_ode_of
 from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
@@ -115,6 +116,7 @@ def uncertainty_stage(
         **({"state_equations": True} if calibration.result.believes_equations else {}),
     }
     what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
+    what += duration(task, max_calls)
     stage = Stage(task, f"uncertainty-{name}", what, inputs, Uncertainty, {"kind": "uncertainty"})
     start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
     return stage.once(

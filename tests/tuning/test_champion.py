@@ -76,7 +76,7 @@ def test_a_better_surrogate_takes_the_place_and_a_line_says_why(copied: ProjectP
     assert_one_answer(copied, spec)
 
 
-def test_a_trial_that_ended_elsewhere_in_an_earlier_study_is_registered_by_the_next_command(
+def test_a_trial_that_another_program_ended_in_an_earlier_study_is_registered_by_the_next_command(
     copied: ProjectPaths,
 ) -> None:
     spec = tuned_study(16)
