@@ -56,7 +56,8 @@ def _least_absolute(left: Array) -> Array:
     m = len(left)
     size = float(np.abs(left).mean())
     if m == 1 or size == 0.0:
-        return np.eye(m)[0]
+        alone: Array = np.eye(m)[0]
+        return alone
     share = np.full(m, 1.0 / m)
     for _ in range(_STEPS):
         weight = 1.0 / np.maximum(np.abs(share @ left), 1e-3 * size)
