@@ -8,6 +8,7 @@ import optuna
 
 from studies.results.declaration import Declaration
 from studies.tracking.runs import SURROGATE, RunStore, register_best
+from studies.tracking.study_tags import PARENT
 from studies.tracking.trial_run import end_run
 from studies.words.wording import difference_unit, quantity
 
@@ -140,6 +141,7 @@ def log_mean(
     runs: RunStore,
     spec: Declaration,
     *,
+    parent: str,
     params: dict[str, Any],
     metrics: dict[str, float],
     record: dict[str, Any],
@@ -150,12 +152,13 @@ def log_mean(
     Args:
         runs: the project's runs.
         spec: the study.
+        parent: the study's run.
         params: what it is made of.
         metrics: its errors and shares.
         record: what makes it again.
         weights: folder of the saved surrogate.
     """
-    role = {"role": "mean", "study": spec.name}
+    role = {"role": "mean", "study": spec.name, PARENT: parent}
     # A killed command left it.
     for left in runs.find(spec.label, role, status="RUNNING"):
         runs.end(left.info.run_id, "KILLED")

@@ -31,6 +31,8 @@ def best_mean(
     found: TunedStudy,
     baseline: TrialView | None,
     record: Mapping[str, Any],
+    *,
+    parent: str,
 ) -> BestMean | None:
     """Return the best mean of the best trials of a size and PCA + GP; it is made where they are new.
 
@@ -40,6 +42,7 @@ def best_mean(
         found: all studies whose errors compare.
         baseline: the trial of PCA + GP.
         record: what makes the data sets again.
+        parent: MLflow's run of the study.
 
     Returns:
         The mean; None where nothing judges one: no trial, or cross-validation.
@@ -85,6 +88,7 @@ def best_mean(
         run_id = log_mean(
             runs,
             spec,
+            parent=parent,
             params={"model": in_words(parts), **params},
             metrics={**errors, **shares},
             record=about,

@@ -83,7 +83,8 @@ class _Part:
         if not self.spec.is_baseline:
             beside = [one for one in every if one.spec.is_baseline and one.spec.data == self.spec.data]
             baseline = joined(beside).best if beside else None
-            mean = best_mean(self.runs, self.paths, found, baseline, self.provenance or {})
+            record = self.provenance or {}
+            mean = best_mean(self.runs, self.paths, found, baseline, record, parent=self.run_id)
             found = replace(found, mean=mean)
         close_study(self.runs, found, self.spec, self.run_id)
         version, why = promote(self.runs, found)
