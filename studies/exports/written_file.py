@@ -165,6 +165,7 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
                 "case_digest": case.digest,
                 "study": spec.name,
                 "trial": str(best.number),
+                "model": best.model,
                 "validation_mae": repr(best.value),
                 "parameters": json.dumps([[one.name, one.unit] for one in case.parameter_space.parameters]),
                 "outputs": json.dumps([[one.name, one.unit] for one in case.outputs]),

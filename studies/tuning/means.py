@@ -45,10 +45,11 @@ def best_mean(
         parent: MLflow's run of the study.
 
     Returns:
-        The mean; None where nothing judges one: no trial, or cross-validation.
+        The mean; None without a trial, with cross-validation, where no row weighs it, and for "paper".
     """
     best, spec = found.best_trial, found.spec
-    if best is None or spec.folds:
+    # What was published is one network.
+    if best is None or spec.folds or spec.surrogate == "paper":
         return None
     wanted = [best, *(one for one in found.usable if one != best)]
     # Weights are kept of trials that were among the best when they ended.

@@ -312,7 +312,8 @@ def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
         return ""
     names = list(dict.fromkeys(name for one in found for name in one.params))
     each = [
-        f"{one.n_train}: {' / '.join(setting(one.params.get(name)) for name in names)} → "
+        f"{one.n_train}: {f'{one.short_model}, ' if one.parts else ''}"
+        f"{' / '.join(setting(one.params.get(name)) for name in names)} → "
         f"{significant(one.mae)}, {significant(one.p90)}"
         for one in found
     ]
