@@ -83,7 +83,7 @@ def close_study(runs: RunStore, found: "TunedStudy", spec: Declaration, run_id: 
         run_id: its run.
     """
     alone = found.of(spec.name)
-    best = alone.best
+    best = alone.best_trial
     numbers: dict[str, float] = {f"n_{one}": alone.count(one) for one in ("complete", "pruned", "failed")}
     if found.gain is not None and found.gain_deviation is not None:
         numbers |= {"confirmed/gain": found.gain, "confirmed/gain_deviation": found.gain_deviation}
@@ -127,8 +127,11 @@ def _why_not(runs: RunStore, found: "TunedStudy", run_id: str) -> str:
     """Say why the surrogate of a run is not the best one any more."""
     before = next((one for one in found.trials if one.run_id == run_id), None)
     if before is None:
-        is_mean = runs.is_there(run_id) and runs.client.get_run(run_id).data.tags.get("role") == "mean"
-        return "a mean of other trials" if is_mean else "it is of other data, or its trial was deleted"
+        data = runs.client.get_run(run_id).data if runs.is_there(run_id) else None
+        if data is not None and data.tags.get("study") in {one.spec.name for one in found.trials}:
+            unit = difference_unit(found.spec.output_unit)
+            return f"a mean of other surrogates (MAE {quantity(data.metrics['val/mae'], unit)})"
+        return "it is of other data, or it was deleted"
     return f"{_shown(before)}" + (", deleted in MLflow" if before.run_id in found.gone else "")
 
 

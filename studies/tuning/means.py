@@ -77,6 +77,8 @@ def best_mean(
         for k, share in zip(used, mean.shares, strict=True)
     )
     made = BestMean(run_ids, parts, metrics=errors)
+    if found.mean is not None and made.parts == found.mean.parts:
+        return replace(found.mean, candidates=run_ids)
     if not made.is_worth_it(best.metrics["val/mae"]):
         return BestMean(run_ids)
     with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
