@@ -35,6 +35,11 @@ class Surrogate:
     theta_standardizer: ThetaStandardizer
     output_standardizer: OutputStandardizer
 
+    @property
+    def log_columns(self) -> npt.NDArray[np.int64]:
+        """Parameters that enter by their logarithm and so must be positive. Shape (q,)."""
+        return self.theta_standardizer.log_columns
+
     def predict(self, theta: npt.ArrayLike, *, n_jobs: int = 1) -> Array:
         """Predict the trajectories of many parameter sets in one call.
 

@@ -13,6 +13,7 @@ from studies.stages.adaptive_stage import MAX_CALLS
 from studies.stages.simulate_stage import missing_rows
 from studies.stages.tuned_trials import tuned_by_size
 from studies.task import Task
+from studies.tuning.confirmations import to_confirm
 from studies.words.console import Column, format_seconds
 from studies.words.wording import count
 
@@ -136,10 +137,14 @@ def _simulations(task: Task, command: str, given: Mapping[str, Any]) -> Iterator
 
 def _trials(task: Task) -> Iterator[dict[str, Any]]:
     """Give how many trials are left of each size, and their time on one core; None before the first one."""
-    n_trials, known = task.profile.tuning.n_trials, tuned_by_size(task)
+    budget, known = task.profile.tuning, tuned_by_size(task)
     for n_train in task.profile.data.n_train:
-        found = known.get(n_train)
-        alone = None if found is None else replace(found.of(found.spec.name), n_planned=n_trials)
-        n_left = n_trials if alone is None else max(n_trials - alone.n_ended, 0)
-        left_s = None if alone is None else alone.to_go_s
+        found, n_confirm = known.get(n_train), 0
+        if budget.confirm is not None:
+            n_confirm = budget.confirm.seeds * (budget.confirm.top + 1)
+            if found is not None and found.usable:
+                n_confirm = sum(n_missing for _, n_missing in to_confirm(found, budget.confirm))
+        alone = None if found is None else found.of(found.spec.name)
+        n_left = max(budget.n_trials - (0 if alone is None else alone.n_ended), 0) + n_confirm
+        left_s = None if alone is None else replace(alone, n_planned=alone.n_ended + n_left).to_go_s
         yield {"n_train": n_train, "n_left": n_left, "training_s": left_s}

@@ -78,6 +78,19 @@ class SensitivityBudget:
 
 
 @dataclass(frozen=True, config=STRICT)
+class Confirmation:
+    """Further trainings after the trials: the best configurations and the default one with other seeds.
+
+    Args:
+        seeds: further trainings of each configuration.
+        top: how many of the best configurations are trained again, beside the default one.
+    """
+
+    seeds: Annotated[int, Field(ge=2, le=1000)]
+    top: Annotated[int, Field(ge=1, le=1000)] = 1
+
+
+@dataclass(frozen=True, config=STRICT)
 class TuningBudget:
     """How the surrogate is tuned.
 
@@ -95,6 +108,8 @@ class TuningBudget:
         pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.sampler`), by its name,
             with its arguments.
         enqueue: configurations that are tried right after the surrogate's own.
+        confirm: further seeds for the best configurations and the default one; None for none. The
+            configuration of least mean error is chosen then.
         baseline: whether PCA + GP is also fitted, once per size, for comparison.
         search: the search space; None for the usual one of the surrogate.
     """
@@ -109,6 +124,7 @@ class TuningBudget:
     sampler: dict[str, Any] = Field(default_factory=lambda: {"name": "TPESampler", "n_startup_trials": 6})
     pruner: dict[str, Any] = Field(default_factory=lambda: {"name": "CatchUpPruner"})
     enqueue: tuple[dict[str, int | float | str | bool], ...] = ()
+    confirm: Confirmation | None = None
     baseline: bool = True
     search: dict[str, SearchParameter] | None = None
 

@@ -10,6 +10,7 @@ from typing import Any
 from simulation.errors import InputError
 from studies.blocks import Block, Column, Table, number
 from studies.paths import ProjectPaths
+from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
 from studies.results.declaration import ALIAS
 from studies.results.outcome import Outcome, read_outcome
@@ -151,6 +152,7 @@ def best_blocks(project: Project) -> list[Block]:
     for label, found in best_by_label(project).items():
         table = tuning_table([one.summary(project.studies) for one in found])
         blocks += [label, *([table] if table else [])]
+        blocks += mean_sentences([one.summary(project.studies) for one in found])
         blocks += [*_how_to_load(project, found), ""]
     for calibration in best_calibrations(project):
         blocks += _calibration(calibration)
@@ -279,13 +281,20 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
     names = list(dict.fromkeys(name for one in tuned for name in one.params))
     units = {one.unit for one in tuned}
     alike = [(one.label, one.n_train) for one in tuned]
-    columns = [Column("study"), number("trials"), number("pruned", spare=5), number("failed", spare=8)]
+    columns = [
+        Column("study"),
+        Column("model", spare=6),
+        number("trials"),
+        number("pruned", spare=5),
+        number("failed", spare=8),
+    ]
     columns += [number("running", spare=7), *(number(name, spare=2) for name in names)]
     columns += [number("MAE"), number("P90"), number("PCA+GP", spare=3)]
     columns += [number("trials/h", spare=9), number("to go", spare=4)]
     rows = [
         [
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
+            one.short_model or MISSING,
             f"{one.n_trials}/{one.n_all}",
             one.n_pruned,
             one.n_failed,

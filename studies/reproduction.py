@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
 from simulation.foreign_text import shortened
 from studies.calibration.search.adaptive import Adaptive
@@ -32,6 +33,7 @@ from studies.task import Task
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
 from studies.tracking.sent_runs import sent_runs
+from studies.tuning.means import judge, mean_of, share_name
 from studies.tuning.trial_training import load_data, load_drive, train
 from studies.words.console import Column, Console
 
@@ -99,7 +101,9 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
         _say_differences(console, made.environment)
         what = f"{run.info.run_name} of {task.label} once more"
         with console.stage("reproduce", what), threadpool_limits(made.n_threads):
-            if made.declaration is not None:
+            if made.kind == "mean":
+                recorded, now = _mean(run, runs, task, made)
+            elif made.declaration is not None:
                 recorded, now = _trial(run, runs, task, made)
             else:
                 stage = f"calibrate-{run.info.run_name.removesuffix(' calibration')}"
@@ -218,6 +222,39 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
     was = {name: run.data.metrics[name] for name in numbers if name in run.data.metrics}
     again = [seen.get(step) for step in history]
     return {**was, curve: [*history.values()]}, {**numbers, curve: again}
+
+
+def _mean(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Numbers, Numbers]:
+    """Train all parts of a mean again, and weigh them."""
+    assert made.declaration is not None, "of every mean"
+    simulate_stage(task)
+    written_drive(task)
+    parts, data = list[Surrogate](), load_data(made.declaration, task.paths)
+    with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
+        for run_id in made.parts:
+            folder = Path(scratch) / run_id  # of a run whose artifacts are copied
+            folder.mkdir()
+            record = read_json(runs.fetch(run_id, FILE, folder)) or {}
+            own = read_provenance(record, f"MLflow's run {run_id}")
+            if own.kind != "training" or own.declaration is None:
+                raise InputError(f"MLflow's run {run_id} is no trial; it cannot be a part of a mean")
+            spec, config = own.declaration, own.declaration.config(own.params)
+            task.console.say(f"  {spec.size}: training run {run_id} again")
+            fitted, _ = train(
+                spec,
+                config,
+                own.seed,
+                load_data(spec, task.paths),
+                drive=load_drive(spec, task.paths),
+                on_epoch=lambda _: None,
+                on_report=lambda *_: None,
+            )
+            assert fitted is not None, "means are judged by a validation set"
+            parts.append(fitted.surrogate)
+    mean, used = mean_of(made.declaration, parts, data)
+    shares = {share_name(k): share for k, share in zip(used, mean.shares, strict=True)}
+    now = {**judge(mean, made.declaration, data), **shares}
+    return {name: run.data.metrics[name] for name in now if name in run.data.metrics}, now
 
 
 def _calibration(task: Task, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:

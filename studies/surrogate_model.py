@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pelsvae.mean_surrogate import MeanSurrogate
 from pelsvae.surrogate import Surrogate
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
@@ -18,14 +19,14 @@ class SurrogateModel:
     Rows outside the bounds are extrapolated, not refused; rows with NaN are failed rows.
 
     Attributes:
-        surrogate: The trained network.
+        surrogate: The trained network, or a mean of several.
         parameter_space: Parameters in the order of the training set's columns.
         output_names: Outputs in the order of the training set's.
         time: Output times of the training set. Shape (t,). [s]
         n_jobs: CPU cores that share the rows of a prediction.
     """
 
-    surrogate: Surrogate
+    surrogate: Surrogate | MeanSurrogate
     parameter_space: ParameterSpace
     output_names: tuple[str, ...]
     time: FloatArray
@@ -41,7 +42,7 @@ class SurrogateModel:
             The predictions, one per row; a row whose parameters or prediction are not finite has failed.
         """
         theta = np.asarray(theta, dtype=np.float64)
-        no_logarithm = np.any(theta[:, self.surrogate.theta_standardizer.log_columns] <= 0.0, axis=1)
+        no_logarithm = np.any(theta[:, self.surrogate.log_columns] <= 0.0, axis=1)
         usable = np.isfinite(theta).all(axis=1) & ~no_logarithm
         y = np.full((len(theta), len(self.time), len(self.output_names)), np.nan)
         if usable.any():

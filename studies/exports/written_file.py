@@ -24,6 +24,7 @@ from studies.paths import ProjectPaths, folder_name
 from studies.project import FinishedCalibration, Project, best_by_label, changed_files
 from studies.results.provenance import FILE, case_of, read_provenance
 from studies.results.saved import read_json
+from studies.results.trials import TrialView
 from studies.tracking.runs import load_surrogate, run_store
 from studies.words.wording import listed
 
@@ -113,6 +114,11 @@ def _refuse_existing(file: Path) -> None:
         raise InputError(f"{file} exists; name another file after the format, or remove it")
 
 
+def decoders_of(best: TrialView) -> set[str]:
+    """Return the decoders of a trial's surrogate, or of all parts of a mean."""
+    return {one.decoder for one in best.parts} or {best.settings.decoder}
+
+
 def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
     """Return the name and the graph of the surrogate of least validation error, and what was changed since.
 
@@ -135,10 +141,11 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
         raise InputError(f"--write onnx needs one case with a surrogate; {remedy}")
     complete = [one.best for one in tuned if one.best is not None and one.best.value is not None]
     # Its states are solved by compiled loops, which no ONNX operator is.
-    writable = [best for best in complete if best.spec.config(best.params).decoder == "layers"]
+    writable = [best for best in complete if {"layers"} == decoders_of(best)]
     if not writable:
         raise InputError(
-            f"a state-space decoder has no ONNX form; type: studies tune {cases[0]} --surrogate refined"
+            "a state-space decoder has no ONNX form, nor has a mean with one; "
+            f"type: studies tune {cases[0]} --surrogate refined"
         )
     best = min(writable, key=lambda one: one.value or 0.0)
     spec = best.spec
@@ -158,6 +165,7 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
                 "case_digest": case.digest,
                 "study": spec.name,
                 "trial": str(best.number),
+                "model": best.model,
                 "validation_mae": repr(best.value),
                 "parameters": json.dumps([[one.name, one.unit] for one in case.parameter_space.parameters]),
                 "outputs": json.dumps([[one.name, one.unit] for one in case.outputs]),

@@ -258,7 +258,7 @@ def _tunings(task: Task, *, baseline: bool = False) -> dict[int, Tuning]:
 def _tuning(study: TunedStudy) -> Tuning:
     spec = study.spec
     # A complete trial without a run was added by hand and has no errors on the test set.
-    ended = [trial for trial in study.trials if trial.state in ("complete", "pruned", "failed")]
+    ended = [trial for trial in study.proposals if trial.state in ("complete", "pruned", "failed")]
     ours = [trial for trial in ended if trial.run_id or trial.state != "complete"]
     return Tuning(
         surrogate=spec.surrogate,

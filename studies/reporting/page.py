@@ -32,7 +32,12 @@ from studies.reporting.figures_model import (
     mae_over_n_figure,
     sensitivity_figure,
 )
-from studies.reporting.sentences import calibration_sentences, headline, uncertainty_sentences
+from studies.reporting.sentences import (
+    calibration_sentences,
+    headline,
+    mean_sentences,
+    uncertainty_sentences,
+)
 from studies.reporting.tables import (
     Calibrations,
     best_of,
@@ -132,7 +137,8 @@ def sections_of(data: ReportData) -> list[Section]:
     tuned, unit = tuning_table(data.tuned), difference_unit(case.outputs[0].unit)
     others = tuple(_calibration(data, one) for one in data.calibrations if one is not best)
     whole = (calibrations_table(case, data.calibrations),) if data.calibrations else ()
-    sections = [Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else ())]
+    means = tuple(f"{one}." for one in mean_sentences(data.tuned))
+    sections = [Section("tuned", "Tuned surrogates", (), (tuned,) if tuned else (), paragraphs=means)]
     if best is not None:
         sections.append(replace(_calibration(data, best), anchor="calibration", heading="Calibration"))
     sections += [_uncertainty(data, one) for one in data.uncertainties]

@@ -1,6 +1,7 @@
 """What results mean, in sentences that the terminal and the page share."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,14 @@ from studies.calibration.search.misfit_threshold import misfit_threshold
 from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
 from studies.calibration.uncertainty.noise import Noise
 from studies.results.outcome import Outcome
-from studies.results.stage_results import Calibration, Determined, EquationsFound, LargestSample, Uncertainty
+from studies.results.stage_results import (
+    Calibration,
+    Determined,
+    EquationsFound,
+    LargestSample,
+    TunedSize,
+    Uncertainty,
+)
 from studies.words.console import format_seconds
 from studies.words.wording import (
     compared_in,
@@ -334,3 +342,16 @@ def _sample(found: Uncertainty) -> str:
             "whether a prior contradicts the data."
         )
     return worth
+
+
+def mean_sentences(tuned: Sequence[TunedSize]) -> list[str]:
+    """Say of which surrogates each mean is made, with the error of each."""
+    said = []
+    for one in tuned:
+        name = f"{one.judged_by}/mae"
+        if one.parts:
+            errors = [significant(part.metrics.get(name)) for part in one.parts]
+            parts = zip(one.parts, errors, strict=True)
+            made_of = " + ".join(f"{part.share:.2f} × {part.name} ({error})" for part, error in parts)
+            said.append(f"n_train {one.n_train}: MAE {significant(one.mae)} {one.unit} is that of {made_of}")
+    return said

@@ -8,6 +8,7 @@ import numpy as np
 from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
 from studies.calibration.sobol import SobolIndices, mean_over_time
+from studies.results.best_mean import shortened_model
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
@@ -21,6 +22,7 @@ from studies.words.wording import (
     difference_unit,
     digits_between,
     percent,
+    percent_of_seeds,
     shown_unit,
     significant,
     square_of,
@@ -59,6 +61,7 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
     has_sets = not found[0].folds
     columns = (
         number("n_train"),
+        Column("model"),
         *(number(name) for name in names),
         number("MAE", unit),
         number("P90", unit),
@@ -74,11 +77,12 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
     rows = [
         [
             count(one.n_train),
+            one.short_model,
             *(cell_text(one.params.get(name)) for name in names),
             significant(one.mae),
             significant(one.p90),
             *(significant(one.metrics.get(name)) for name in outputs),
-            percent(one.gain),
+            percent_of_seeds(one.gain, one.gain_deviation),
             significant(one.baseline.get(f"{judged_by}/mae")),
             significant(one.baseline.get(f"{judged_by}/p90")),
             *(count(n) for n in (one.n_complete, one.n_pruned, one.n_failed)),
@@ -118,6 +122,7 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
     judged, judged_by = ("CV", CROSS_VALIDATED) if is_crossed else ("test", "test")
     with_surrogate: Columns = [
         (number("training set"), lambda one: count(one.result.n_train)),
+        *([(Column("model"), _model)] if any(one.model for one in screened) else []),
         (number(f"{judged} MAE", unit), _screened(lambda found: found.errors.get(f"{judged_by}/mae"), 2)),
         (number(f"{judged} P90", unit, 3), _screened(lambda found: found.errors.get(f"{judged_by}/p90"), 2)),
         (number(f"{error} surrogate", mse_unit, 2), _screened(lambda found: found.mse_surrogate)),
@@ -149,6 +154,10 @@ def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
         "simulations stored before"
     )
     return Table(title, [one for one, _ in columns], rows, emphasized=emphasized)
+
+
+def _model(one: Outcome[Calibration]) -> str:
+    return MISSING if one.result.screening is None else shortened_model(one.result.screening.model) or MISSING
 
 
 def _screened(read: Callable[[Screened], float | None], digits: int = 3) -> Reader:

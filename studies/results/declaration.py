@@ -5,10 +5,10 @@ Any worker, on any machine of the project, can go on with a study from its name 
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -63,6 +63,7 @@ class Declaration:
         device: where the surrogate is trained; decides no trial.
         max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
         is_baseline: whether it is the PCA + GP that is fitted for comparison.
+        is_confirmation: whether its trials train configurations of another study with further seeds.
         note: shown where the numbers are shown.
         project: identity of the project whose study it is in a database that others share; else empty.
         folds: parts of the training rows that judge in turn; 0 where a validation and a test set do.
@@ -93,6 +94,7 @@ class Declaration:
     device: str = "auto"
     max_trial_s: float | None = None
     is_baseline: bool = False
+    is_confirmation: bool = False
     note: str = ""
     project: str = ""
     folds: int = 0
@@ -101,7 +103,8 @@ class Declaration:
     def digest(self) -> str:
         """SHA-256 over all that decides the trials and their errors."""
         # What changes no trial is left out: another label or place of the files must not begin a new study.
-        idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
+        idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note")
+        idle += ("is_baseline", "is_confirmation")
         # Studies of before decoders were searched, and of projects that share nothing, keep their names.
         added = ("forms", "project", "folds")
         decisive = {
@@ -114,13 +117,26 @@ class Declaration:
     @property
     def name(self) -> str:
         """Name of the Optuna study, for example `office-quick/n0064/1a2b3c4d`."""
-        kind = "-pca-gp" if self.is_baseline else ""
+        kind = "-pca-gp" if self.is_baseline else "-confirm" if self.is_confirmation else ""
         return f"{self.label}/{size_name(self.n_train)}{kind}/{self.digest[:8]}"
 
     @property
     def size(self) -> str:
         """What runs and models of this study are called, for example `n0064`."""
-        return size_name(self.n_train) + (" PCA + GP" if self.is_baseline else "")
+        kind = " PCA + GP" if self.is_baseline else " confirmation" if self.is_confirmation else ""
+        return size_name(self.n_train) + kind
+
+    @property
+    def role(self) -> Literal["trial", "confirmation"]:
+        """What the runs of its trials are called in MLflow."""
+        return "confirmation" if self.is_confirmation else "trial"
+
+    @property
+    def confirmation(self) -> "Declaration":
+        """The study that trains configurations of this one with further seeds."""
+        # Every trial of it is given, and trained to its end.
+        sampler, pruner = {"name": "RandomSampler"}, {"name": "NopPruner"}
+        return replace(self, is_confirmation=True, enqueue=(), sampler=sampler, pruner=pruner)
 
     @property
     def data(self) -> tuple[Any, ...]:
@@ -171,6 +187,8 @@ class Declaration:
     @property
     def first_points(self) -> list[dict[str, Any]]:
         """The configurations that are tried first: the surrogate's own, then those of the profile."""
+        if self.is_confirmation:
+            return []
         bases = [self._base_of(name) for name in self.forms or (None,)]
         if (states := self.space.get("states")) is not None:
             bases += [one.replace(states=name) for name in states.choices[1:] for one in bases[:1]]
@@ -193,7 +211,7 @@ class Declaration:
 
         Args:
             place: the trial's place in the study; a retry has that of the trial it repeats.
-            use: 0 for the sampler, 1 for the training.
+            use: 0 for the sampler, 1 for the training, 2 for a training that confirms another one.
         """
         # Hashed, not added: sums of seed and place would give two trials one stream.
         return int(np.random.SeedSequence([self.seed, self.n_train, place, use]).generate_state(1)[0])

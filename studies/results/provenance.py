@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from simulation.case import Case
 
 SCHEMA = 3
-NEEDED = {"training": "declaration", "calibration": "surrogate_run", "adaptive": "settings"}
+NEEDED = {"training": "declaration", "mean": "parts", "calibration": "surrogate_run", "adaptive": "settings"}
 """What can be made again, and what must be known for it."""
 FILE = "provenance.json"
 
@@ -34,7 +34,7 @@ class Provenance:
 
     Args:
         schema: version of this form.
-        kind: "training", "calibration", "adaptive", "sensitivity" or "uncertainty".
+        kind: "training", "mean", "calibration", "adaptive", "sensitivity" or "uncertainty".
         label: the study's label.
         command: the command line that made it.
         case_file: place of the case file.
@@ -50,6 +50,7 @@ class Provenance:
         declaration: a trial's study.
         params: a trial's hyperparameters.
         seed: seed of a trial's training.
+        parts: MLflow's runs of the trials that a mean is made of.
         environment: packages, code and machine.
     """
 
@@ -70,6 +71,7 @@ class Provenance:
     declaration: Declaration | None = None
     params: dict[str, int | float | str | bool] = field(default_factory=dict)
     seed: Annotated[int, Field(ge=0)] = 0
+    parts: tuple[str, ...] = ()
     environment: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -96,7 +98,7 @@ def read_provenance(record: Mapping[str, Any], owner: str) -> Provenance:
         )
     made = rebuilt(Provenance, record, f"{owner}: {FILE}")
     try:
-        if made.declaration is not None:
+        if made.declaration is not None and made.kind != "mean":
             made.declaration.config(made.params)
     except ValueError as error:
         raise InputError(f"{owner}: {FILE}: {shortened(str(error))}; use the version that wrote it") from None

@@ -12,6 +12,7 @@ from studies.calibration.recorder import History
 from studies.calibration.uncertainty.findings import Compensation
 from studies.calibration.uncertainty.identifiability import Pair, Ridge
 from studies.calibration.uncertainty.noise import Noise
+from studies.results.best_mean import MeanPart, shortened_model
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.saved import WITH_ARRAYS, Error
 
@@ -111,10 +112,14 @@ class TunedSize:
         wall_s: Training time of all trials together. [s]
         to_go_s: Training time of the trials to come, on one core; None before the first trial. [s]
         gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
+        gain_deviation: Its standard deviation from seed to seed; None where it was not confirmed. [1]
+        n_seeds: Further seeds of both, whose means the gain compares; 0 where it was not confirmed.
         trial: Number of the best trial; None without a complete one, as all that follows.
         run_id: MLflow's run of the best trial.
         model_uri: Address by which MLflow loads the best surrogate; None for a baseline, too.
-        params: Hyperparameters of the best trial.
+        model: What the best surrogate is: "trial 5", or the mean of several.
+        parts: What a mean is made of, with the errors of each; none of a trial alone.
+        params: Hyperparameters of the best trial; none where it is no part of the mean.
         mae: Test MAE of the best trial, or the cross-validated one. [unit]
         p90: 90th percentile of its absolute errors there. [unit]
         metrics: All errors of the best trial by name. [unit]
@@ -140,9 +145,13 @@ class TunedSize:
     wall_s: float
     to_go_s: float | None
     gain: float | None
+    gain_deviation: float | None = None
+    n_seeds: int = 0
     trial: int | None = None
     run_id: str | None = None
     model_uri: str | None = None
+    model: str = ""
+    parts: tuple[MeanPart, ...] = ()
     params: Mapping[str, Any] = field(default_factory=dict)
     mae: float | None = None
     p90: float | None = None
@@ -154,6 +163,11 @@ class TunedSize:
     def judged_by(self) -> str:
         """First part of the names of the errors that are shown."""
         return CROSS_VALIDATED if self.folds else "test"
+
+    @property
+    def short_model(self) -> str:
+        """What the best surrogate is, for a cell of a table."""
+        return shortened_model(self.model)
 
     @property
     def n_all(self) -> int:
@@ -325,7 +339,7 @@ class Validated:
         return list(self.points.values())[-1]
 
 
-SURROGATE_FIELDS = ("study", "trial", "run_id", "params", "errors", "weights_sha256")
+SURROGATE_FIELDS = ("study", "trial", "model", "run_id", "params", "errors", "weights_sha256")
 """Fields of `Screened` that say which surrogate screened."""
 
 
@@ -340,6 +354,7 @@ class Screened:
         stop_reason: Why the screening ended.
         study: Optuna study of the surrogate.
         trial: Number of its trial.
+        model: What it is: "trial 5", or the mean of several.
         run_id: MLflow's run of the trial.
         params: Its hyperparameters.
         errors: Its errors by name. [first output's unit]
@@ -352,6 +367,7 @@ class Screened:
     stop_reason: str
     study: str = ""
     trial: int = 0
+    model: str = ""
     run_id: str = ""
     params: dict[str, Setting] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)

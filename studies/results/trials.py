@@ -3,8 +3,12 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import hypot
+from statistics import fmean, stdev
 from typing import Any
 
+from pelsvae.config import SurrogateConfig
+from studies.results.best_mean import BestMean, MeanPart, in_words
 from studies.results.declaration import CROSS_VALIDATED, Declaration
 from studies.results.stage_results import TunedSize
 from studies.words.wording import difference_unit
@@ -31,6 +35,7 @@ class TrialView:
         best_epoch: epoch whose weights were kept.
         began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
+        parts: what a mean is made of, whose leading trial this is then; none of a trial alone.
     """
 
     spec: Declaration
@@ -46,6 +51,18 @@ class TrialView:
     best_epoch: int
     began_s: float
     weights_sha256: str
+    parts: tuple[MeanPart, ...] = ()
+
+    @property
+    def model(self) -> str:
+        """What it is, in words."""
+        further = " of further seeds" if self.spec.is_confirmation else ""
+        return in_words(self.parts) if self.parts else f"trial {self.number}{further}"
+
+    @cached_property
+    def settings(self) -> SurrogateConfig:
+        """All settings of its surrogate; trainings with equal ones differ in their seed alone."""
+        return self.spec.config(self.params)
 
 
 @dataclass(frozen=True)
@@ -59,6 +76,7 @@ class TunedStudy:
         n_closed: trials that had ended when its best surrogate was registered; 0 before.
         gone: runs that cannot be recommended: deleted by their owner, or second to one and without weights.
         versions: versions of registered models, by run.
+        mean: the best mean of its surrogates; None where none was looked for.
     """
 
     spec: Declaration
@@ -67,53 +85,120 @@ class TunedStudy:
     n_closed: int = 0
     gone: frozenset[str] = frozenset()
     versions: Mapping[str, int] = field(default_factory=dict)
+    mean: BestMean | None = None
 
     def count(self, state: str) -> int:
         """Return the number of trials in a state."""
-        return sum(trial.state == state for trial in self.trials)
+        return sum(trial.state == state for trial in self.proposals)
+
+    @property
+    def proposals(self) -> list[TrialView]:
+        """Its trials without those that confirm others."""
+        return [one for one in self.trials if one.spec.is_confirmation == self.spec.is_confirmation]
 
     @property
     def n_ended(self) -> int:
-        """Trials that have ended."""
+        """Trials that have ended, without those that confirm others."""
         return self.count("complete") + self.count("pruned") + self.count("failed")
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether all trials have ended and the best one of them was registered."""
+        n_ended = sum(one.state in ("complete", "pruned", "failed") for one in self.trials)
+        return self.n_closed == n_ended == len(self.trials)
+
+    @cached_property
+    def usable(self) -> list[TrialView]:
+        """The completed trials that were trained here, the least error first."""
+        # Trials that users add through Optuna have no run, and so no weights to register.
+        ours = [trial for trial in self.trials if trial.state == "complete" and trial.run_id]
+        # Of equal errors the earlier trial, so that reading again finds the same one.
+        return sorted((one for one in ours if one.run_id not in self.gone), key=lambda one: one.value or 0.0)
+
+    @cached_property
+    def confirmed(self) -> dict[SurrogateConfig, tuple[float, ...]]:
+        """Errors of further seeds by settings; they were not chosen, so their mean is no lucky one."""
+        found: dict[SurrogateConfig, tuple[float, ...]] = {}
+        for one in self.usable:
+            if one.spec.is_confirmation:
+                found[one.settings] = (*found.get(one.settings, ()), one.value or 0.0)
+        return found
 
     @cached_property
     def best(self) -> TrialView | None:
-        """The completed trial of least validation error among those that were trained here.
+        """The best trial, or the mean of several where it is worth it.
 
         The alias, the tag, tables, the report and calibrations all ask here.
         """
-        # Trials that users add through Optuna have no run, and so no weights to register.
-        ours = [trial for trial in self.trials if trial.state == "complete" and trial.run_id]
-        ours = [trial for trial in ours if trial.run_id not in self.gone]
-        # Of equal errors the earlier trial, so that reading again finds the same one.
-        return min(ours, key=lambda trial: trial.value or 0.0, default=None)
+        trial, mean = self.best_trial, self.mean
+        if trial is None or mean is None or mean.run_id in self.gone:
+            return trial
+        if not mean.is_worth_it(trial.value or 0.0):
+            return trial
+        return replace(
+            trial,
+            params=trial.params if trial.run_id in [one.run_id for one in mean.parts] else {},
+            value=mean.metrics["val/mae"],
+            metrics=mean.metrics,
+            run_id=mean.run_id,
+            weights_sha256=mean.weights_sha256,
+            parts=mean.parts,
+        )
+
+    @cached_property
+    def best_trial(self) -> TrialView | None:
+        """The completed trial of least validation error; of confirmed settings, those of least mean error."""
+        means = {settings: fmean(errors) for settings, errors in self.confirmed.items()}
+        chosen = min(means, key=lambda one: means[one], default=None)
+        return next((one for one in self.usable if chosen in (None, one.settings)), None)
 
     @property
     def default(self) -> TrialView | None:
         """The trial with the surrogate's own settings, where it was trained to its end."""
         found = [one for one in self.trials if one.proposed_by == "default" and one.state == "complete"]
-        # Of several studies that of the best one: another search space may have another default.
-        beside = [one for one in found if self.best is not None and one.spec.name == self.best.spec.name]
-        return next(iter(beside or found), None)
+        # Of several studies that of the best trial: another search space may have another default.
+        first = next((one.spec.name for one in self.usable if not one.spec.is_confirmation), "")
+        return next(iter([one for one in found if one.spec.name == first] or found), None)
 
     @property
     def gain(self) -> float | None:
-        """Part of the default configuration's validation error that tuning took away."""
-        if self.best is None or self.default is None or not self.default.value or self.best.value is None:
+        """Part of the default configuration's error that tuning took away; of means where confirmed."""
+        if (seeds := self._seeds) is not None:
+            return 1.0 - fmean(seeds[0]) / fmean(seeds[1])
+        best, default = self.best_trial, self.default
+        if best is None or default is None or not default.value or best.value is None:
             return None
-        return 1.0 - self.best.value / self.default.value
+        return 1.0 - best.value / default.value
+
+    @property
+    def gain_deviation(self) -> float | None:
+        """Standard deviation of the gain from seed to seed, None where it was not confirmed."""
+        if (seeds := self._seeds) is None or min(map(len, seeds)) < 2:
+            return None
+        if seeds[0] is seeds[1]:  # the default is the best
+            return 0.0
+        best, default = seeds
+        ratio = fmean(best) / fmean(default)
+        return ratio * hypot(stdev(best) / fmean(best), stdev(default) / fmean(default))
+
+    @property
+    def _seeds(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """Errors of further seeds of the best and of the default settings."""
+        if not self.confirmed or self.best_trial is None or self.default is None:
+            return None
+        best, default = (self.confirmed.get(one.settings) for one in (self.best_trial, self.default))
+        return (best, default) if best and default else None
 
     @property
     def wall_s(self) -> float:
-        """Training time of all trials together. [s]."""
-        return sum(trial.wall_s for trial in self.trials)
+        """Training time of all trials together, without those that confirm others. [s]."""
+        return sum(trial.wall_s for trial in self.proposals)
 
     @property
     def to_go_s(self) -> float | None:
         """Training time of the trials to come, on one core; None before the first trial. [s]."""
         # Pruned trials count with their short times, as most of those to come are pruned as well.
-        n_left, n_timed = max(self.n_planned - self.n_ended, 0), sum(t.wall_s > 0.0 for t in self.trials)
+        n_left, n_timed = max(self.n_planned - self.n_ended, 0), sum(t.wall_s > 0.0 for t in self.proposals)
         return 0.0 if not n_left else n_left * self.wall_s / n_timed if n_timed else None
 
     @property
@@ -135,6 +220,7 @@ class TunedStudy:
             more |= {"trial": best.number, "run_id": best.run_id, "params": dict(best.params)}
             more |= {name: best.metrics.get(f"{spec.judged_by}/{name}") for name in ("mae", "p90")}
             more |= {"metrics": dict(best.metrics), "study": best.spec.name, "surrogate": best.spec.surrogate}
+            more |= {"model": best.model, "parts": best.parts}
         return TunedSize(
             label=spec.label,
             case=spec.case_name,
@@ -147,6 +233,8 @@ class TunedStudy:
             wall_s=self.wall_s,
             to_go_s=self.to_go_s,
             gain=self.gain,
+            gain_deviation=self.gain_deviation,
+            n_seeds=0 if (seeds := self._seeds) is None else min(map(len, seeds)),
             model_uri=self.model_uri,
             baseline={} if beside is None else dict(beside.metrics),
             folds=spec.folds,
@@ -165,7 +253,8 @@ class TunedStudy:
 
     def of(self, name: str) -> "TunedStudy":
         """Return what is of one study alone."""
-        return replace(self, trials=tuple(one for one in self.trials if one.spec.name == name))
+        own = tuple(one for one in self.trials if one.spec.name == name)
+        return replace(self, spec=own[0].spec if own else self.spec, trials=own)
 
     @property
     def began_s(self) -> float:
@@ -179,14 +268,15 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
     Args:
         studies: studies of equal data (see `Declaration.data`), at least one.
     """
-    *others, last = sorted(studies, key=lambda one: one.began_s)
+    *others, last = sorted(studies, key=lambda one: (not one.spec.is_confirmation, one.began_s))
     return TunedStudy(
         spec=last.spec,
-        n_planned=last.n_planned + sum(len(one.trials) for one in others),
+        n_planned=last.n_planned + sum(len(one.trials) for one in others if not one.spec.is_confirmation),
         trials=tuple(trial for one in (*others, last) for trial in one.trials),
         n_closed=sum(one.n_closed for one in studies),
         gone=frozenset().union(*(one.gone for one in studies)),
         versions={run: version for one in studies for run, version in one.versions.items()},
+        mean=next((one.mean for one in (last, *reversed(others)) if one.mean is not None), None),
     )
 
 

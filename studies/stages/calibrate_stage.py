@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pelsvae.mean_surrogate import MeanSurrogate
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
@@ -66,7 +67,7 @@ def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, TrialV
     return {n: found[n] for n in sorted(set(asked or found))}
 
 
-def best_surrogate(task: Task, n_train: int) -> Surrogate:
+def best_surrogate(task: Task, n_train: int) -> Surrogate | MeanSurrogate:
     """Load the best surrogate of a size from its MLflow run, on the CPU wherever it was trained.
 
     Raises:
@@ -115,6 +116,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
     origin = {
         "study": best.spec.name,
         "trial": best.number,
+        "model": best.model,
         "run_id": best.run_id,
         "params": dict(best.params),
         "errors": dict(best.metrics),
@@ -147,7 +149,7 @@ def _of_training(task: Task, n_train: int) -> ChooseRows:
 
 def calibrate(
     task: Task,
-    surrogate: Surrogate,
+    surrogate: Surrogate | MeanSurrogate,
     n_train: int,
     origin: Mapping[str, Any] | None = None,
     start: ChooseRows | None = None,

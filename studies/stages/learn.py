@@ -12,6 +12,7 @@ from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
 from studies.calibration.hidden_network.inputs import drive_of
+from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
 from studies.results.declaration import DRIVE, Declaration, digest_of_arrays
 from studies.results.outcome import Outcome, digest_of
@@ -69,7 +70,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
     budget, sizes = task.profile.tuning, task.profile.data.n_train
     started_s = time.perf_counter()
     specs = declarations(task, simulated.result)
-    found = closed_studies(specs, task.paths, budget.n_trials)
+    found = closed_studies(specs, task.paths, budget.n_trials, budget.confirm)
     if found is not None:
         n = sum(one.n_ended for one in found)
         task.console.say(f"tune: finished before, {count(n, 'trial')} reused")
@@ -94,6 +95,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
             on_trials=show,
             on_warning=task.console.warn,
             on_promotion=task.console.say,
+            confirm=budget.confirm,
         )
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]
@@ -202,7 +204,8 @@ def _progress(
 ) -> tuple[int, int, float | None]:
     """Return what is done of a task, what there is to do, and its best error so far."""
     latest = places(trials)
-    total = max(1 if spec.is_baseline else n_trials, len(latest))
+    planned = 1 if spec.is_baseline else 0 if spec.is_confirmation else n_trials
+    total = max(planned, len(latest))
     done = sum(trial.state.is_finished() for trial in latest)
     values = [t.value for t in latest if t.state.name == "COMPLETE" and t.value is not None]
     return done, total, min(values, default=None)
@@ -219,4 +222,4 @@ def _outcome(
 def show_tuning(task: Task, found: Tuned) -> None:
     """Print the best surrogate of each size."""
     if (table := tuning_table(found.studies)) is not None:
-        task.console.show([table])
+        task.console.show([table, *mean_sentences(found.studies)])

@@ -23,7 +23,7 @@ def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:
         (
             n_train, trial.state, trial.value,
             trial.metrics.get(f"{one.spec.judged_by}/mae"), trial.metrics.get(f"{one.spec.judged_by}/p90"),
-            trial is one.best,
+            trial is one.best_trial,
         )
         for n_train, one in studies.items()
         for trial in one.trials

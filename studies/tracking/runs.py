@@ -39,6 +39,7 @@ from studies.tracking.study_tags import NOTE, TRACKING
 from studies.words.wording import difference_unit
 
 if TYPE_CHECKING:
+    from pelsvae.mean_surrogate import MeanSurrogate
     from pelsvae.surrogate import Surrogate
     from studies.results.trials import TrialView
     from studies.task import Task
@@ -286,11 +287,11 @@ def metric_name(name: str) -> str:
 
 
 SURROGATE = "surrogate"
-"""Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""
+"""Artifact of a trial's run: the weights, of trials that were among the best when they ended."""
 
 
-def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate":
-    """Load the surrogate of a trial from its run.
+def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate | MeanSurrogate":
+    """Load the surrogate of a trial, or a mean of several, from its run.
 
     Raises:
         InputError: the run has no weights, or they are damaged or out of reach.
@@ -331,8 +332,8 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     import pandas as pd
 
     unit, client = difference_unit(spec.output_unit), runs.client
-    kind = "PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP"
-    about = {"study": spec.name, "trial": str(best.number)}
+    kind = "mean" if best.parts else "PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP"
+    about = {"study": spec.name, "trial": str(best.number), "model": best.model}
     with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         from mlflow.models import Model, ModelSignature
@@ -363,7 +364,8 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     client.finalize_logged_model(made.model_id, "READY")
     client.log_outputs(best.run_id, [entities.LoggedModelOutput(made.model_id, step=0)])
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
-    said = ". ".join(part for part in (f"Trial {best.number} of {spec.name}", errors, spec.note) if part)
+    which = f"{best.model[:1].upper()}{best.model[1:]} of {spec.name}"
+    said = ". ".join(part for part in (which, errors, spec.note) if part)
     if not client.search_registered_models(f"name = '{spec.model_name}'"):
         client.create_registered_model(spec.model_name)
     # By place: to follow the model's id, MLflow looks into the store of the process.

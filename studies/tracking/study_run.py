@@ -1,12 +1,14 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import optuna
 
 from studies.results.declaration import Declaration
 from studies.tracking.runs import SURROGATE, RunStore, register_best
+from studies.tracking.study_tags import PARENT
 from studies.tracking.trial_run import end_run
 from studies.words.wording import difference_unit, quantity
 
@@ -25,7 +27,8 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
     if run_id is not None and runs.is_there(run_id):
         runs.open_again(run_id)
         return run_id
-    role = "baseline study" if spec.is_baseline else "study"
+    kind = "baseline " if spec.is_baseline else "confirmation " if spec.is_confirmation else ""
+    role = f"{kind}study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
     tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
     made = runs.begin(spec.label, f"{spec.size} study", tags)
@@ -37,7 +40,7 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
     """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
-    left = runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING")
+    left = runs.find(spec.label, {"role": spec.role, "study": spec.name}, status="RUNNING")
     trials = study.get_trials(deepcopy=False)  # later than the runs, so that each run has its trial
     for run in left:
         number = int(run.data.tags.get("trial", -1))
@@ -57,34 +60,38 @@ def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, s
     found, fault, way_back = replace(found, gone=frozenset()), "", ""
     while (best := found.best) is not None:
         is_there = runs.is_there(best.run_id)
-        # Of trials that were not the best when they ended no weights were kept.
-        if is_there and (not fault or runs.has(best.run_id, SURROGATE)):
+        # Weights are kept of trials that were among the best when they ended.
+        if is_there and runs.has(best.run_id, SURROGATE):
             break
         if not is_there and not fault:
-            fault = f"{best.spec.name}: the run of its best trial, {best.number}, was deleted in MLflow"
+            fault = f"{best.spec.name}: the run of its best surrogate, {best.model}, was deleted in MLflow"
             way_back = f"mlflow runs restore --run-id {best.run_id}"
         found = replace(found, gone=found.gone | {best.run_id})
     if fault:
-        instead = "no other trial has weights" if best is None else f"trial {best.number} takes its place"
+        instead = "no other trial has weights" if best is None else f"{best.model} takes its place"
         fault += f": {instead}; to have it back: {way_back}"
     return found, fault
 
 
-def close_study(runs: RunStore, found: "TunedStudy", run_id: str) -> None:
+def close_study(runs: RunStore, found: "TunedStudy", spec: Declaration, run_id: str) -> None:
     """Write what a study came to on its run, and end the run.
 
     Args:
         runs: the project's runs.
-        found: the study alone.
+        found: all studies whose errors compare.
+        spec: the study.
         run_id: its run.
     """
-    best = found.best
-    numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
+    alone = found.of(spec.name)
+    best = alone.best_trial
+    numbers: dict[str, float] = {f"n_{one}": alone.count(one) for one in ("complete", "pruned", "failed")}
+    if found.gain is not None and found.gain_deviation is not None:
+        numbers |= {"confirmed/gain": found.gain, "confirmed/gain_deviation": found.gain_deviation}
     if best is not None:
         numbers |= {f"best/{name}": value for name, value in best.metrics.items()}
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
-        if found.gain is not None:
-            numbers["best/gain_over_default"] = found.gain
+        if alone.gain is not None:
+            numbers["best/gain_over_default"] = alone.gain
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED")
 
@@ -111,22 +118,59 @@ def promote(runs: RunStore, found: "TunedStudy") -> tuple[int | None, str]:
     if before is None or int(before.version) == version:
         return version, ""
     why = f"n_train {found.spec.n_train}: {_shown(best)} is the best surrogate now, version {version}; "
-    why += f"version {before.version} was: {_why_not(found, before.run_id)}"
+    why += f"version {before.version} was: {_why_not(runs, found, before.run_id or '')}"
     runs.client.set_model_version_tag(best.spec.model_name, str(version), PROMOTED, why)
     return version, why
 
 
-def _why_not(found: "TunedStudy", run_id: str | None) -> str:
+def _why_not(runs: RunStore, found: "TunedStudy", run_id: str) -> str:
     """Say why the surrogate of a run is not the best one any more."""
     before = next((one for one in found.trials if one.run_id == run_id), None)
     if before is None:
-        return "it is of other data, or its trial was deleted"
+        data = runs.client.get_run(run_id).data if runs.is_there(run_id) else None
+        if data is not None and data.tags.get("study") in {one.spec.name for one in found.trials}:
+            unit = difference_unit(found.spec.output_unit)
+            return f"a mean of other surrogates (MAE {quantity(data.metrics['val/mae'], unit)})"
+        return "it is of other data, or it was deleted"
     return f"{_shown(before)}" + (", deleted in MLflow" if before.run_id in found.gone else "")
 
 
 def _shown(trial: "TrialView") -> str:
     unit = difference_unit(trial.spec.output_unit)
-    return f"trial {trial.number} of {trial.spec.name} (validation MAE {quantity(trial.value or 0.0, unit)})"
+    return f"{trial.model} of {trial.spec.name} (MAE {quantity(trial.value or 0.0, unit)} on validation rows)"
+
+
+def log_mean(
+    runs: RunStore,
+    spec: Declaration,
+    *,
+    parent: str,
+    params: dict[str, Any],
+    metrics: dict[str, float],
+    record: dict[str, Any],
+    weights: Path,
+) -> str:
+    """Write a mean of surrogates as a run of its own, and return its id.
+
+    Args:
+        runs: the project's runs.
+        spec: the study.
+        parent: the study's run.
+        params: what it is made of.
+        metrics: its errors and shares.
+        record: what makes it again.
+        weights: folder of the saved surrogate.
+    """
+    role = {"role": "mean", "study": spec.name, PARENT: parent}
+    # A killed command left it.
+    for left in runs.find(spec.label, role, status="RUNNING"):
+        runs.end(left.info.run_id, "KILLED")
+    run_id = runs.begin(spec.label, f"{spec.size} mean", {**role, "n_train": spec.n_train})
+    runs.log(run_id, params={"n_train": spec.n_train, **params}, metrics=metrics)
+    runs.log_record(run_id, record)
+    runs.log_files(run_id, sorted(weights.iterdir()), SURROGATE)
+    runs.end(run_id, "FINISHED")
+    return run_id
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

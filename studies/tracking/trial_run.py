@@ -46,7 +46,7 @@ class TrialRun:
         record: dict[str, Any],
     ) -> None:
         parent = {PARENT: study_run} if study_run else {}
-        tags = {"role": "trial", "study": spec.name, "trial": trial, "n_train": spec.n_train, **parent}
+        tags = {"role": spec.role, "study": spec.name, "trial": trial, "n_train": spec.n_train, **parent}
         self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
         self._runs = runs
         self._points: list[entities.Metric] = []

@@ -8,7 +8,9 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
+from studies.results.best_mean import BestMean
 from studies.results.declaration import Declaration
+from studies.results.saved import rebuilt
 from studies.results.trials import TrialView, TunedStudy, errors_of, joined
 from studies.search_space import SearchSpace
 from studies.tuning import attempts
@@ -24,6 +26,7 @@ def read_study(study: optuna.Study) -> TunedStudy:
         InputError: it was made by another program or version.
     """
     attrs, spec = study.user_attrs, attempts.declaration_of(study)
+    mean = attrs.get(attempts.MEAN)
     places = attempts.places(study.get_trials(deepcopy=False))
     return TunedStudy(
         spec=spec,
@@ -32,6 +35,7 @@ def read_study(study: optuna.Study) -> TunedStudy:
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
         gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
         versions=dict(attrs.get(attempts.VERSIONS, {})),
+        mean=None if not mean else rebuilt(BestMean, mean, f"the Optuna study {study.study_name!r}"),
     )
 
 
@@ -112,7 +116,10 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         spec=spec,
         number=trial.number,
         state=state,
-        params=dict(trial.params),
+        # What was given to a trial that did not begin yet.
+        params={**trial.system_attrs.get("fixed_params", {}), **trial.params}
+        if spec.is_confirmation
+        else dict(trial.params),
         value=value,
         metrics=errors_of(state, trial.value, trial.user_attrs),
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),

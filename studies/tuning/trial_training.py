@@ -116,7 +116,7 @@ def train(
     fitted = _fit(spec, config, seed, data["train"], data["validation"], drive, report)
     judged: dict[str, float] = {}
     for name, (theta, y) in {"val": data["validation"], "test": data["test"]}.items():
-        judged |= _judged(name, fitted.surrogate.predict(theta), y, spec)
+        judged |= errors_by_name(name, fitted.surrogate.predict(theta), y, spec)
     return fitted, _finite(judged)
 
 
@@ -166,7 +166,7 @@ def _cross_validated(
         fitted = _fit(spec, config, seed, (theta[others], y[others]), None, drive, report)
         predicted[held] = fitted.surrogate.predict(theta[held])
         done, before = fold <= number, before + config.max_epochs
-        judged = _judged(CROSS_VALIDATED, predicted[done], y[done], spec)
+        judged = errors_by_name(CROSS_VALIDATED, predicted[done], y[done], spec)
         mae = judged[f"{CROSS_VALIDATED}/mae"]
         on_epoch(EpochReport(before, n_folds * config.max_epochs, math.nan, mae))
         on_report(number + 1, mae, number + 1 == n_folds)
@@ -199,7 +199,7 @@ def _fit(
     )
 
 
-def _judged(
+def errors_by_name(
     name: str, predicted: NDArray[np.float64], y: NDArray[np.float64], spec: Declaration
 ) -> dict[str, float]:
     """Return the errors of predictions (n, t, k), their names beginning with `name`. [output's unit]."""

@@ -13,8 +13,10 @@ from optuna.trial import FrozenTrial
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
+from studies.profile import Confirmation
 from studies.results.declaration import Declaration
-from studies.results.trials import TunedStudy
+from studies.results.saved import plain
+from studies.results.trials import TunedStudy, joined
 from studies.task import StageError
 from studies.tracking.runs import RunStore
 from studies.tracking.sending import begin_sending
@@ -26,7 +28,9 @@ from studies.tracking.study_run import (
     without_deleted,
 )
 from studies.tuning import attempts
+from studies.tuning.confirmations import to_confirm
 from studies.tuning.forked_worker import ForkedWorker
+from studies.tuning.means import best_mean
 from studies.tuning.storage import storage_of, study_locked
 from studies.tuning.study_results import joined_studies, latest_studies, read_studies
 from studies.words.wording import setting, significant
@@ -50,10 +54,15 @@ class _Part:
     storage: RDBStorage
     paths: ProjectPaths
     runs: RunStore
+    provenance: Mapping[str, Any] | None
 
     @property
     def trials(self) -> list[FrozenTrial]:
         return self.study.get_trials(deepcopy=False)
+
+    @property
+    def is_unfinished(self) -> bool:
+        return attempts.is_unfinished(self.trials, self.n_planned)
 
     def give_back(self) -> None:
         """Let the trials of dead workers be run again, and end the runs that they left open."""
@@ -65,26 +74,71 @@ class _Part:
         """Register the best surrogate of all studies of equal data, and end the run of this one."""
         every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
         (found,) = joined_studies(one for one in every if one.spec.has_equal_data(self.spec))
+        if self.spec.is_confirmation:  # its trials count with those that they confirm
+            close_study(self.runs, found, self.spec, self.run_id)
+            return found
         found, fault = without_deleted(self.runs, found)
         if fault:
             on_warning(fault)
-        close_study(self.runs, found.of(self.spec.name), self.run_id)
+        if not self.spec.is_baseline:
+            beside = [one for one in every if one.spec.is_baseline and one.spec.data == self.spec.data]
+            baseline = joined(beside).best if beside else None
+            record = self.provenance or {}
+            mean = best_mean(self.runs, self.paths, found, baseline, record, parent=self.run_id)
+            found = replace(found, mean=mean)
+        close_study(self.runs, found, self.spec, self.run_id)
         version, why = promote(self.runs, found)
         if why:
             on_promotion(why)
         if found.best is not None and version is not None:
             found = replace(found, versions={**found.versions, found.best.run_id: version})
-        for name in {self.spec.name, *(trial.spec.name for trial in found.trials)}:
+        names = {self.spec.name, *(trial.spec.name for trial in found.trials)}
+        for name in names:
             study = optuna.load_study(study_name=name, storage=self.storage)
             noted = {
                 attempts.GONE: sorted(found.gone),
                 attempts.VERSIONS: dict(found.versions),
-                attempts.CLOSED: found.of(name).n_ended,
+                attempts.MEAN: None if found.mean is None else plain(found.mean),
+                attempts.CLOSED: found.of(name).n_ended,  # of confirmations too, where they stand alone
             }
             for key, value in noted.items():
                 if study.user_attrs.get(key) != value:
                     study.set_user_attr(key, value)
-        return replace(found, n_closed=found.n_ended)
+        return replace(found, n_closed=sum(found.of(name).n_ended for name in names))
+
+    def confirmations(self, confirm: Confirmation) -> "list[_Part]":
+        """Enqueue what is to be trained with further seeds, and return the studies of that."""
+        every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
+        (found,) = joined_studies(one for one in every if one.spec.has_equal_data(self.spec))
+        wanted, parts = to_confirm(found, confirm), dict[str, _Part]()
+        for one, n_missing in wanted:
+            spec = one.spec.confirmation
+            if spec.name not in parts:
+                parts[spec.name] = _opened(spec, 0, self.storage, self.paths, self.runs, self.provenance)
+            for _ in range(n_missing):
+                marks = {attempts.PROPOSED_BY: attempts.CONFIRMATION}
+                parts[spec.name].study.enqueue_trial(dict(one.params), user_attrs=marks)
+        return [*parts.values()]
+
+
+def _opened(
+    spec: Declaration,
+    n_planned: int,
+    storage: RDBStorage,
+    paths: ProjectPaths,
+    runs: RunStore,
+    provenance: Mapping[str, Any] | None,
+) -> _Part:
+    """Open a study, which is made where it is not there yet, and its run."""
+    with study_locked(storage, paths, spec.name):
+        study = attempts.make_study(storage, spec, n_trials=n_planned)
+    run_id = open_study_run(runs, spec, n_planned, study.user_attrs.get(attempts.RUN_ID))
+    for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
+        if value and study.user_attrs.get(name) != value:
+            study.set_user_attr(name, value)
+    part = _Part(spec, study, run_id, n_planned, storage, paths, runs, provenance)
+    part.give_back()
+    return part
 
 
 @dataclass
@@ -96,11 +150,20 @@ class _Size:
     n_deaths: int = 0
     n_ended: int = 0
     results: dict[str, TunedStudy] = field(default_factory=dict)
+    is_confirmed: bool = False
+
+    def confirm(self, confirm: Confirmation | None) -> None:
+        """Add the studies that confirm what the trials came to, once."""
+        if confirm is not None and not self.is_confirmed:
+            self.parts += [
+                one for part in self.parts if not part.spec.is_baseline for one in part.confirmations(confirm)
+            ]
+        self.is_confirmed = True
 
     def is_waiting(self, n_parallel: int) -> bool:
         """Whether one of at most `n_parallel` workers could begin a trial."""
         is_full = len(self.workers) >= n_parallel
-        return not is_full and any(attempts.is_unfinished(part.trials, part.n_planned) for part in self.parts)
+        return not is_full and any(part.is_unfinished for part in self.parts)
 
     def look_after_workers(self) -> None:
         """See which workers have ended, and why.
@@ -155,6 +218,7 @@ def tune(
     n_jobs: int,
     n_parallel: int = 1,
     until_s: float | None = None,
+    confirm: Confirmation | None = None,
     provenance: Mapping[str, Any] | None = None,
     on_trials: OnTrials = lambda spec, trials: None,
     on_warning: OnLine = _LOG.warning,
@@ -173,6 +237,7 @@ def tune(
         n_jobs: worker processes.
         n_parallel: workers of one study.
         until_s: no trial begins after this moment. [s since 1970, UTC]
+        confirm: what is trained with further seeds when the trials of a size have ended.
         provenance: what makes the data sets again, kept with every trial.
         on_trials: called with the trials of a study that is worked on, about twice a second.
         on_warning: called with one line that a user should see.
@@ -192,14 +257,7 @@ def tune(
         sizes: dict[int, _Size] = {}
         for spec in specs:
             planned = 1 if spec.is_baseline else n_trials
-            with study_locked(storage, paths, spec.name):
-                study = attempts.make_study(storage, spec, n_trials=planned)
-            run_id = open_study_run(runs, spec, planned, study.user_attrs.get(attempts.RUN_ID))
-            for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
-                if value and study.user_attrs.get(name) != value:
-                    study.set_user_attr(name, value)
-            part = _Part(spec, study, run_id, planned, storage, paths, runs)
-            part.give_back()
+            part = _opened(spec, planned, storage, paths, runs, provenance)
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
         # Begun last, the longest trainings would run alone at the end.
         largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
@@ -211,9 +269,12 @@ def tune(
                 n_free = n_jobs - sum(len(one.workers) for one in largest_first)
                 # Trials are read where a worker may begin: to read them takes time from those that train.
                 may_begin = bool(n_free) and not is_late
+                for size in largest_first if may_begin else []:
+                    if not size.workers and not size.is_waiting(n_parallel):
+                        size.confirm(confirm)
                 waiting = [size for size in largest_first if may_begin and size.is_waiting(n_parallel)]
                 for size in waiting:
-                    names = [part.spec.name for part in size.parts]
+                    names = [part.spec.name for part in size.parts if part.is_unfinished]
                     for _ in range(min(n_free, n_parallel - len(size.workers))):
                         size.workers.append(ForkedWorker(paths, names, until_s))
                         n_free -= 1
@@ -251,7 +312,8 @@ def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
         return ""
     names = list(dict.fromkeys(name for one in found for name in one.params))
     each = [
-        f"{one.n_train}: {' / '.join(setting(one.params.get(name)) for name in names)} → "
+        f"{one.n_train}: {f'{one.short_model}, ' if one.parts else ''}"
+        f"{' / '.join(setting(one.params.get(name)) for name in names)} → "
         f"{significant(one.mae)}, {significant(one.p90)}"
         for one in found
     ]
@@ -260,14 +322,17 @@ def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
 
 
 def closed_studies(
-    specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int
+    specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int, confirm: Confirmation | None = None
 ) -> list[TunedStudy] | None:
     """Return the studies where all of them are finished and registered, None where work is left."""
     known = joined_studies(read_studies(paths, label=specs[0].label))
     found = [one for spec in specs for one in known if one.spec.has_equal_data(spec)]
     if len(found) != len(specs):
         return None
-    are_ended = all(one.n_closed == one.n_ended == len(one.trials) for one in found)
+    are_ended = all(one.is_closed for one in found)
+    if confirm is not None:
+        networks = [one for one in found if not one.spec.is_baseline]
+        are_ended &= not any(n_missing for one in networks for _, n_missing in to_confirm(one, confirm))
     alone = [one.of(spec.name) for one, spec in zip(found, specs, strict=True)]
     are_enough = all(one.n_ended >= (1 if one.spec.is_baseline else n_trials) for one in alone)
     return found if are_ended and are_enough else None

@@ -35,6 +35,9 @@ from studies.tuning.storage import open_storage, study_locked
 from studies.tuning.trial_training import load_data, load_drive, train, train_on_all
 from studies.words.quiet_loggers import working
 
+N_KEPT = 4
+"""Trials keep their weights that are among so many best ones when they end: a mean may need them."""
+
 
 class TrialFailedError(Exception):
     """A configuration that cannot be trained; the study goes on without it."""
@@ -124,7 +127,7 @@ class Worker:
             trial.set_user_attr("reason", reason := f"its enqueued values are refused: {error}")
             raise TrialFailedError(reason) from error
         place = attempts.place_of(trials[trial.number], trials)
-        seed = spec.trial_seed(place, 1)
+        seed = spec.trial_seed(place, 2 if spec.is_confirmation else 1)
         record = {**self._study.user_attrs.get(attempts.PROVENANCE, {}), "declaration": spec.to_dict()}
         record |= {"params": params, "seed": seed, "environment": self._environment}
         # What has an effect on this form of surrogate.
@@ -166,10 +169,10 @@ class Worker:
         try:
             given = (spec, config, seed, self._data)
             fitted, metrics = train(*given, drive=self._drive, on_epoch=on_epoch, on_report=compare)
-            # Only a trial that is the best when it ends can become its study's model.
             value = metrics.pop(f"{spec.chosen_by}/mae")
-            is_best = value < self._best()
-            if fitted is None and is_best:
+            n_kept = 1 if spec.folds else N_KEPT  # with folds weights cost a training of their own
+            is_kept = self._n_better(value) < n_kept or spec.is_confirmation
+            if fitted is None and is_kept:
                 fitted = train_on_all(*given, drive=self._drive, on_epoch=on_epoch)
         except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
@@ -187,16 +190,17 @@ class Worker:
             folder = Path(scratch) / SURROGATE
             save_surrogate(fitted.surrogate, folder)
             weights = file_digest(folder / "weights.npz")
-            if is_best:
+            if is_kept:
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
         epoch = fitted.n_epochs
         note(fitted.stop_reason, best_epoch=fitted.best_epoch, weights_sha256=weights)
         return value
 
-    def _best(self) -> float:
+    def _n_better(self, value: float) -> int:
+        """Return how many trials that ended here are at least as good."""
         complete = self._study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         ours = (one.value for one in complete if attempts.RUN_ID in one.user_attrs)
-        return min((value for value in ours if value is not None), default=math.inf)
+        return sum(other is not None and other <= value for other in ours)
 
     def _end(self, study: optuna.Study, trial: FrozenTrial) -> None:
         run_id = trial.user_attrs.get(attempts.RUN_ID)

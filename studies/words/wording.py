@@ -90,6 +90,13 @@ def percent(fraction: float | None) -> str:
     return f"{sign}{text} %"
 
 
+def percent_of_seeds(fraction: float | None, deviation: float | None) -> str:
+    """Write a fraction as a percentage, with its standard deviation where that is known."""
+    if deviation is None or fraction is None:
+        return percent(fraction)
+    return f"{percent(fraction).removesuffix(' %')} ± {100 * deviation:.0f} %"
+
+
 def bound_at(u: float) -> str:
     """Return which bound a calibrated value lies at, "" for none.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from studies.paths import ProjectPaths
+from studies.results.best_mean import shortened_model
 from studies.results.trials import TunedStudy
 from studies.tuning.study_results import read_studies
 from studies.words.wording import setting, significant
@@ -55,9 +56,10 @@ def test_the_first_screen_names_the_best_of_each_size_above_the_runs(
     note.wait_for()
     for study in tuned:
         assert study.best is not None
-        chosen = [study.best.params[name] for name in ("n_latent", "n_hidden", "beta")]
+        chosen = [study.best.params.get(name) for name in ("n_latent", "n_hidden", "beta")]
         errors = [study.best.metrics[name] for name in ("test/mae", "test/p90")]
-        said = f"{' / '.join(map(setting, chosen))} → {', '.join(map(significant, errors))}"
+        mean = f"{shortened_model(study.best.model)}, " if study.best.parts else ""
+        said = f"{mean}{' / '.join(map(setting, chosen))} → {', '.join(map(significant, errors))}"
         assert f"{study.spec.n_train}: {said}" in note.inner_text()
 
 
@@ -68,8 +70,10 @@ def test_the_best_trials_are_filtered_from_the_others(
     cells = page.get_by_role("gridcell")
     for study in tuned:
         assert study.best is not None
-        cells.filter(has_text=f"n{study.spec.n_train:04d} trial {study.best.number:03d}").first.wait_for()
-    assert cells.filter(has_text=" trial 0").count() == len(tuned)
+        which = "mean" if study.best.parts else f"trial {study.best.number:03d}"
+        cells.filter(has_text=f"n{study.spec.n_train:04d} {which}").first.wait_for()
+    n_trials = sum(study.best is not None and not study.best.parts for study in tuned)
+    assert cells.filter(has_text=" trial 0").count() == n_trials
     assert cells.filter(has_text="PCA + GP").count() == 0
     assert cells.filter(has_text="calibration").count() == 0
 
@@ -77,7 +81,7 @@ def test_the_best_trials_are_filtered_from_the_others(
 def test_a_trial_shows_its_hyperparameters_errors_and_curves(
     page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]
 ) -> None:
-    best = tuned[0].best
+    best = tuned[0].best_trial
     assert best is not None
     run = f"{addresses[ALL].partition('/runs')[0]}/runs/{best.run_id}"
     page.goto(run)

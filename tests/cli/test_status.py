@@ -9,6 +9,7 @@ import sys
 import termios
 from pathlib import Path
 
+import numpy as np
 import optuna
 import pytest
 from optuna.trial import TrialState
@@ -18,6 +19,7 @@ from studies_for_tests import (
     WALL_S,
     declared,
     declared_baseline,
+    ended_trial,
     write_calibration,
     write_study,
 )
@@ -134,6 +136,32 @@ def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(
     assert f'optuna.load_study(study_name="{spec.name}", storage="sqlite:///' in shown
     (of_status,) = (line for line in studies("status").out.splitlines() if "office-quick/n0064" in line)
     assert f" {beside.user_attrs['test/mae']:.3f} " in of_status
+
+
+def test_the_configuration_of_least_mean_over_seeds_is_the_best(project: Path, studies: Run) -> None:
+    spec = declared("office-quick", 64)
+    study = write_study(project, spec, n_trials=0, n_planned=3)
+    # The default, a lucky one, and one that is as good with every seed.
+    for index, (n_latent, error) in enumerate(((64, 0.4), (16, 0.2), (32, 0.21))):
+        study.add_trial(ended_trial(spec, index, error, n_latent=n_latent))
+    further = write_study(project, spec.confirmation, n_trials=0)
+    for index, (n_latent, error) in enumerate(
+        ((64, 0.4), (64, 0.44), (16, 0.3), (16, 0.34), (32, 0.2), (32, 0.22))
+    ):
+        trial = ended_trial(spec, index, error, n_latent=n_latent)
+        trial.user_attrs |= {"proposed_by": "confirmation", "mlflow_run_id": f"{index + 16:032x}"}
+        trial.state = TrialState.COMPLETE  # of every index
+        trial.value = error
+        further.add_trial(trial)
+    (size,) = studies("best", "--json").document["sizes"]
+    assert size["params"]["n_latent"] == 32
+    assert (size["study"], size["metrics"]["val/mae"]) == (spec.confirmation.name, 0.2)
+    assert (size["gain"], size["n_seeds"]) == (pytest.approx(0.5), 2)
+    assert size["gain_deviation"] == pytest.approx(0.5 * np.hypot(np.sqrt(2e-4) / 0.21, np.sqrt(8e-4) / 0.42))
+    assert (size["n_trials"], size["n_planned"]) == (3, 3)
+    assert "50 ± 5 %" in studies("best").out
+    (of_status,) = studies("status", "--json").document["studies"]
+    assert of_status == {name: size[name] for name in of_status} | {"run_id": of_status["run_id"]}
 
 
 def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studies: Run) -> None:

@@ -23,6 +23,7 @@ from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
 from studies.cli import main
+from studies.exports.written_file import decoders_of
 from studies.paths import ProjectPaths, find_project
 from studies.profile import PROFILE_FOLDER
 from studies.project import read_project
@@ -195,8 +196,8 @@ def test_the_page_of_values_runs_and_its_answers_are_right(
         else:
             assert [main(line.split()[1:]) for line in block.splitlines()] == [0] * block.count("\n")
     found = [one for one in read_project(find_project(None)).studies if not one.spec.is_baseline]
-    complete = [(one.spec, one.best) for one in found if one.best]
-    layers = [best for spec, best in complete if spec.config(best.params).decoder == "layers"]
+    complete = [one.best for one in found if one.best]
+    layers = [best for best in complete if decoders_of(best) == {"layers"}]
     best = min(layers, key=lambda one: one.metrics["val/mae"])
     case = studies.load_case("office")
     assert [name for name, _ in json.loads(names["about"]["parameters"])] == list(case.parameter_space.names)

@@ -57,7 +57,7 @@ def test_a_complete_trial_has_its_run(tuned: ProjectPaths) -> None:
     assert set(best.params) == {"n_latent", "n_hidden", "beta"}
     assert run.data.params["learning_rate"] == str(spec.base_config.learning_rate)
     errors = {name: value for name, value in run.data.metrics.items() if name.startswith(("val/", "test/"))}
-    assert set(errors) == {"val/mae", "val/p90", "test/mae", "test/p90"}
+    assert set(errors) == {f"{of}/{name}" for of in ("val", "test") for name in ("mae", "p90", "unexplained")}
     assert errors["val/mae"] == best.value
     curve = client.get_metric_history(run.info.run_id, "curve/validation_mae")
     assert [point.step for point in curve] == list(range(1, 13))
