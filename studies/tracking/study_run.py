@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import optuna
 
 from studies.results.declaration import Declaration
+from studies.tracking.leaderboard import GAIN, SEARCHED, set_views
 from studies.tracking.runs import SURROGATE, RunStore, register_best
-from studies.tracking.trial_run import end_run
+from studies.tracking.trial_run import end_run, trial_role
 
 if TYPE_CHECKING:
     from studies.results.trials import TrialView, TunedStudy
@@ -25,16 +26,17 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
     role = "baseline study" if spec.is_baseline else "study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
     tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
+    set_views(runs, spec.label, spec.search)
     made = runs.begin(spec.label, f"{spec.size} study", tags)
     params = {"n_train": spec.n_train, "n_trials": n_trials, "seed": spec.seed}
     params |= {"sampler": spec.sampler["name"], "pruner": spec.pruner["name"]}
-    runs.log(made, params=params | {f"search.{name}": one for name, one in spec.search.items()})
+    runs.log(made, params=params | {f"{SEARCHED}{name}": one for name, one in spec.search.items()})
     return made
 
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
     """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
-    left = runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING")
+    left = runs.find(spec.label, {"role": trial_role(spec), "study": spec.name}, status="RUNNING")
     trials = study.get_trials(deepcopy=False)  # later than the runs, so that each run has its trial
     for run in left:
         number = int(run.data.tags.get("trial", -1))
@@ -76,6 +78,7 @@ def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: 
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
         if found.gain is not None:
             numbers["best/gain_over_default"] = found.gain
+            runs.log(best.run_id, metrics={GAIN: found.gain})
         mark_best(runs, spec, best)
         if not spec.is_baseline:
             register_best(runs, spec, best)

@@ -23,6 +23,11 @@ FLUSH_S = 2.0
 """Points of curves are written this often: each call costs as much as many points."""
 
 
+def trial_role(spec: Declaration) -> str:
+    """Return the tag `role` of a study's trials: who looks for the least error finds no baseline among them."""
+    return "baseline trial" if spec.is_baseline else "trial"
+
+
 class TrialRun:
     """The MLflow run of one trial that is being trained.
 
@@ -46,7 +51,7 @@ class TrialRun:
         record: dict[str, Any],
     ) -> None:
         parent = {PARENT: study_run} if study_run else {}
-        tags = {"role": "trial", "study": spec.name, "trial": trial, "n_train": spec.n_train, **parent}
+        tags = {"role": trial_role(spec), "study": spec.name, "trial": trial, "n_train": spec.n_train, **parent}
         self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
         self._runs = runs
         self._points: list[entities.Metric] = []
