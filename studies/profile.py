@@ -164,21 +164,21 @@ class PolishBudget:
     Args:
         max_calls: simulations the polish may ask for.
         ftol: relative change of the cost that ends it.
-        optimizer: least squares unless another one of `studies.calibration.optimizers` is named, with its
-            arguments, as `{ name = "SciPyMinimize", method = "COBYQA" }`.
+        optimizer: one of `studies.calibration.optimizers` with its arguments, as `{ name = "SciPyMinimize",
+            method = "COBYQA" }`; a search that the surrogate guides unless another one is named.
     """
 
     max_calls: Count = 400
     ftol: Positive = 1e-4
-    optimizer: dict[str, Any] = Field(default_factory=lambda: {"name": "LeastSquaresTRF"})
+    optimizer: dict[str, Any] = Field(default_factory=lambda: {"name": "GuidedSearch"})
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What decides a polish; the usual optimizer, which earlier results do not name, is left out."""
-        names = {"max_calls": self.max_calls, "ftol": self.ftol}
-        return (
-            names if self.optimizer == {"name": "LeastSquaresTRF"} else names | {"optimizer": self.optimizer}
-        )
+        """What decides a polish; least squares, which earlier results do not name, is left out."""
+        names: dict[str, Any] = {"max_calls": self.max_calls, "ftol": self.ftol}
+        if self.optimizer == {"name": "LeastSquaresTRF"}:
+            return names
+        return names | {f"optimizer.{key}": value for key, value in self.optimizer.items()}
 
 
 @dataclass(frozen=True, config=STRICT)

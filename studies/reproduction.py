@@ -258,12 +258,12 @@ def _mean(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Num
 
 
 def _calibration(task: Task, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:
-    if made.settings is None:
-        return calibrate(task, load_surrogate(runs, made.surrogate_run), made.n_train)
     start: ChooseRows | None = None
     if before.start_theta is not None and before.start_watched is not None:
         rows = StartRows(before.start_theta, before.start_watched)
         start = lambda *_: rows  # noqa: E731 (the rows are known)
+    if made.settings is None:
+        return calibrate(task, load_surrogate(runs, made.surrogate_run), made.n_train, start=start)
     settings = rebuilt(Adaptive, made.settings, FILE)
     learns = before.state_equations is not None
     return calibrate_adaptively(task, settings, start, state_equations=learns)

@@ -1,7 +1,7 @@
 """Optimizers that may polish, by the name that a profile gives them; a new one is a class and a line here."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from simulation.errors import InputError
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import OnProgress, Recorder
+from studies.calibration.search.adaptive import Adaptive, AdaptiveResult
 
 BOUNDED = ("COBYQA", "COBYLA", "L-BFGS-B", "Nelder-Mead", "Powell", "SLSQP", "TNC", "trust-constr")
 """Methods of `scipy.optimize.minimize` that keep bounds."""
@@ -28,7 +29,7 @@ class Optimizer(Protocol):
         *,
         known: Evaluation | None = None,
         on_progress: OnProgress | None = None,
-    ) -> PolishResult:
+    ) -> PolishResult | AdaptiveResult:
         """Return the best point seen.
 
         Args:
@@ -119,7 +120,53 @@ class DfoLs:
         return _polished(problem, known, on_progress, self.max_calls, solve)
 
 
+@dataclass(frozen=True)
+class GuidedSearch:
+    """The search of `studies calibrate`, led by the surrogate and by what simulations show of its error.
+
+    It begins with the training rows, needs no differences, and ends by the rules of `studies calibrate`: once
+    tests found no gain. Without a surrogate it is that search alone.
+
+    Attributes:
+        max_calls: Most rows that may be asked of the model.
+    """
+
+    max_calls: int = 1000
+
+    def minimize(
+        self,
+        problem: CalibrationProblem,
+        u0: FloatArray,
+        *,
+        known: Evaluation | None = None,
+        on_progress: OnProgress | None = None,
+        surrogate: CalibrationProblem | None = None,
+        seed: int = 0,
+    ) -> AdaptiveResult:
+        """Polish, see `Optimizer`.
+
+        Args:
+            problem: The problem, posed to the model that is asked.
+            u0: Starting point; asked where nothing is known. Shape (p,). [1]
+            known: Rows that the model has answered already.
+            on_progress: Called after each row.
+            surrogate: The problem, posed to a surrogate of the model.
+            seed: Seed of all draws.
+
+        Returns:
+            The best point seen.
+        """
+        settings = Adaptive.for_sensor(float(problem.measurement.uncertainty[0]), max_calls=self.max_calls)
+        if known is None:
+            known = problem.evaluate(u0)
+            settings = replace(settings, max_calls=max(self.max_calls - 1, 1))
+        return settings.minimize(
+            problem, seed=seed, known=known, surrogate=surrogate, on_progress=on_progress
+        )
+
+
 OPTIMIZERS: dict[str, Callable[..., Optimizer]] = {
+    "GuidedSearch": GuidedSearch,
     "LeastSquaresTRF": LeastSquaresTRF,
     "SciPyMinimize": SciPyMinimize,
     "DfoLs": DfoLs,

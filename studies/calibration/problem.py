@@ -47,6 +47,13 @@ class Evaluation:
         """Return one row as an evaluation of its own."""
         return Evaluation(*(getattr(self, one.name)[index : index + 1] for one in fields(self)))
 
+    def joined(self, other: "Evaluation") -> "Evaluation":
+        """Return these rows and others of the same problem behind them."""
+        parts = {one.name: (getattr(self, one.name), getattr(other, one.name)) for one in fields(self)}
+        failures = (*self.failures, *other.failures)
+        arrays = {name: np.concatenate(pair) for name, pair in parts.items() if name != "failures"}
+        return Evaluation(**arrays, failures=failures)
+
 
 @dataclass(frozen=True)
 class CalibrationProblem:

@@ -1,19 +1,22 @@
 """The paper's method: screen the box on the surrogate, polish the point on the physical model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
+from simulation.layout import Layout
 from simulation.measurement import Measurement
 from studies.calibration.ledger import Ledger
-from studies.calibration.optimizers import Optimizer
+from studies.calibration.optimizers import GuidedSearch, Optimizer
 from studies.calibration.polish import PolishResult
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress
 from studies.calibration.screen import DifferentialEvolution, ScreenResult
+from studies.calibration.search.adaptive import AdaptiveResult
 
 # A screened point that the physical model cannot simulate gives way to others, at least this far away.
 MAX_SCREEN_CHECKS, DISTANCE_FROM_FAILURE = 5, 0.1
@@ -35,7 +38,7 @@ class TwoPhaseResult:
     screen: ScreenResult
     screened: Evaluation
     mse_surrogate: float
-    polish: PolishResult
+    polish: PolishResult | AdaptiveResult
     history: History
     ledger: Ledger
 
@@ -52,6 +55,8 @@ def calibrate_two_phase(
     n_validation: int = 0,
     n_test: int = 0,
     prior: Prior | None = None,
+    layout: Layout | None = None,
+    rows: Evaluation | None = None,
     on_progress: OnProgress | None = None,
 ) -> TwoPhaseResult:
     """Calibrate a physical model with a surrogate of it (Aka et al. 2023, sec. 2.4; 10.3384/ecp204107).
@@ -61,24 +66,32 @@ def calibrate_two_phase(
         physical_model: Model to calibrate; every row asked of it is counted.
         measurement: Target, on both models' output grid.
         screening: Settings of phase 1.
-        polishing: The optimizer of phase 2.
+        polishing: The optimizer of phase 2. Screened points beyond the first count among its calls.
         seed: Seed of the screening.
         n_train: Physical simulations that trained the surrogate, for the ledger.
         n_validation: The same for validation.
         n_test: The same for testing.
         prior: What is known about the parameters beforehand, or None; both phases use it.
+        layout: Which parameters act in which experiment; None for one experiment.
+        rows: What the physical model has answered already, for optimizers that learn from it.
         on_progress: Called during both phases.
 
     Returns:
         The calibrated parameters, the errors on the way and the ledger.
     """
-    problem = CalibrationProblem(surrogate_model, measurement, prior)
+    problem = CalibrationProblem(surrogate_model, measurement, prior, layout)
     physical_problem = problem.on(physical_model)
 
     screen = screening.minimize(problem, seed=seed, on_progress=on_progress)
     screened, n_checks = _check(screen, physical_problem)
     mse_surrogate = float(problem.mse(screened.u)[0])
-    polish = polishing.minimize(physical_problem, screened.u[0], known=screened, on_progress=on_progress)
+    if n_checks > 1 and (most := getattr(polishing, "max_calls", None)) is not None:
+        polishing = replace(polishing, max_calls=max(most - n_checks + 1, 1))  # type: ignore[type-var]
+    how: dict[str, Any] = {"known": screened, "on_progress": on_progress}
+    if isinstance(polishing, GuidedSearch):
+        how |= {"surrogate": problem, "seed": seed}
+        how["known"] = screened if rows is None else rows.joined(screened)
+    polish = polishing.minimize(physical_problem, screened.u[0], **how)
     ledger = Ledger(n_train, n_validation, n_test, n_checks, polish.n_calls)
     history = polish.history.after(n_train + n_checks)
     return TwoPhaseResult(screen, screened, mse_surrogate, polish, history, ledger)

@@ -13,8 +13,8 @@ from studies.stages.simulate_stage import simulate_stage
 from studies.task import Task
 from studies.words.wording import count, quantity, square_of
 
-# A calibration repeats its best row, to see whether the FMU answers the same once more.
-N_REPEATED = 1
+# Beside its polish a calibration asks for the screened point, and for its best row once more.
+N_BESIDE = 2
 # Errors of two sizes that differ by less are the same.
 SAME_ERROR = 0.02
 
@@ -59,7 +59,7 @@ def run_within_budget(task: Task, *, again: bool) -> tuple[tuple[Outcome[Any], .
         left = budget - n_train - polished
         if larger is not None:
             left = min(p, (left - (larger - n_train)) // 2)
-        part = _of_size(task, n_train, left - N_REPEATED - n_validated)
+        part = _of_size(task, n_train, left - N_BESIDE - n_validated)
         simulated.append(simulate_stage(part))
         tuned.append(tune_stage(part, simulated[-1]))
         calibrated.append(calibrate_stage(part, n_train, again=again))

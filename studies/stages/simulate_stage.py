@@ -40,6 +40,11 @@ def set_seeds(profile: Profile) -> dict[str, int]:
     return {name: seeds[name] for name in profile.data.sets}
 
 
+def train_design(task: Task, n: int) -> FloatArray:
+    """Return the first rows of the training design. Shape (n, p). [per parameter]."""
+    return uniform_design(task.case.parameter_space, n, train_seed(task.profile.seed))
+
+
 def _designs(task: Task) -> dict[str, FloatArray]:
     """Return the parameters of each set. Shape (n, p) each. [per parameter]."""
     space, seeds = task.case.parameter_space, set_seeds(task.profile)

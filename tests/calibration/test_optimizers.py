@@ -141,7 +141,7 @@ def test_a_profile_names_the_optimizer_and_its_arguments() -> None:
     # What all polishes have counts as far as the optimizer has it.
     other = optimizer_of({"name": "SciPyMinimize", "method": "Powell"}, max_calls=7, ftol=1e-3)
     assert other == SciPyMinimize("Powell", max_calls=7)
-    with pytest.raises(InputError, match=r"^polish\.optimizer: name = 'Adam' is none of LeastSquaresTRF, "):
+    with pytest.raises(InputError, match=r"^polish\.optimizer: name = 'Adam' is none of GuidedSearch, "):
         optimizer_of({"name": "Adam"})
     with pytest.raises(InputError, match=r"^polish\.optimizer: SciPyMinimize has no argument 'metod'"):
         optimizer_of({"name": "SciPyMinimize", "metod": "Powell"})

@@ -16,6 +16,8 @@ from pelsvae.linear_network.drive import Drive
 from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
+from studies.calibration.corrected_surrogate import CorrectedSurrogate
+from studies.calibration.guide import Guide
 from studies.calibration.hidden_network.search import HiddenNetwork
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.proposer import Proposer
@@ -85,6 +87,7 @@ class Adaptive(SearchSettings):
         known: Evaluation | None = None,
         learned_ode: Proposer | None = None,
         network_inputs: Drive | None = None,
+        surrogate: CalibrationProblem | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.
@@ -100,6 +103,8 @@ class Adaptive(SearchSettings):
             learned_ode: Learns the model's state equations from rows and proposes others, None for none.
             network_inputs: What drives the model, where it may be a network that hides its states; None
                 otherwise.
+            surrogate: The problem, posed to a surrogate that was trained before, which leads the search; None
+                for none.
             on_progress: Called after each round, and before what may take seconds.
 
         Returns:
@@ -121,9 +126,10 @@ class Adaptive(SearchSettings):
                 f"same problem: {shape[1]} parameters and {shape[0]} residuals"
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        network = None if network_inputs is None else HiddenNetwork(network_inputs, problem, seed)
+        guides: list[Guide] = [] if surrogate is None else [CorrectedSurrogate(surrogate, seed)]
+        guides += [] if network_inputs is None else [HiddenNetwork(network_inputs, problem, seed)]
         rng = np.random.default_rng(seed)
-        state = SearchState(self, recorder, rng, known, learned_ode, network)
+        state = SearchState(self, recorder, rng, known, learned_ode, guides)
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             # What overflows counts as failed, and is no news to who calibrates.
