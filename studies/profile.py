@@ -11,7 +11,17 @@ from pydantic_core import ArgsKwargs
 from simulation.errors import InputError
 from simulation.foreign_file import PROFILE, parse_toml, read_text
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
-from studies.search_space import STRICT, Count, Positive, SearchParameter, SearchSpace, check_space, space_of
+from studies.search_space import (
+    STRICT,
+    Count,
+    Positive,
+    SearchParameter,
+    SearchSpace,
+    Value,
+    check_fixed,
+    check_space,
+    space_of,
+)
 
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
@@ -112,6 +122,7 @@ class TuningBudget:
             configuration of least mean error is chosen then.
         baseline: whether PCA + GP is also fitted, once per size, for comparison.
         search: the search space; None for the usual one of the surrogate.
+        fixed: settings of the surrogate that are not searched, whether or not the search space names them.
     """
 
     n_trials: Count
@@ -127,11 +138,13 @@ class TuningBudget:
     confirm: Confirmation | None = None
     baseline: bool = True
     search: dict[str, SearchParameter] | None = None
+    fixed: dict[str, Value] = Field(default_factory=dict)
 
     @property
     def space(self) -> SearchSpace:
         """What is searched, and where."""
-        return space_of(self.surrogate, self.search)
+        space = space_of(self.surrogate, self.search)
+        return {name: one for name, one in space.items() if name not in self.fixed}
 
     def __post_init__(self) -> None:
         for name in ("sampler", "pruner"):
@@ -139,6 +152,7 @@ class TuningBudget:
                 raise ValueError(
                     f'{name} is a table with the name of a class, as {name} = {{ name = "..." }}'
                 )
+        check_fixed(self.surrogate, self.fixed)
         check_space(self.surrogate, self.space, self.enqueue)
 
 

@@ -19,6 +19,8 @@ Positive = Annotated[float, Field(gt=0.0)]
 Bound = Annotated[int | float, Field(ge=-(2**53), le=2**53)]
 Value = int | float | str | bool
 
+FORMS = {"layers": "refined", "state-space": "state-space"}
+"""Named form of the surrogate with each decoder, where the decoder is searched or fixed."""
 OF_PCA_GP = ("n_scales", "degree", "n_members", "n_latent", "theta_features", "max_epochs")
 OF_NETWORKS = (
     "decoder", "states", "n_stores", "sparsity", "n_latent", "n_hidden", "n_layers", "activation",
@@ -133,6 +135,27 @@ def space_of(surrogate: str, declared: SearchSpace | None) -> SearchSpace:
     return {"pca-gp": PCA_GP_SPACE, "state-space": STATE_SPACE}.get(surrogate, NETWORK_SPACE)
 
 
+def check_fixed(surrogate: str, fixed: Mapping[str, Any]) -> None:
+    """Check settings that are not searched against the surrogate's.
+
+    Raises:
+        ValueError: a setting does not exist, has no effect, or does not take the value.
+    """
+    known = OF_PCA_GP if surrogate == "pca-gp" else OF_NETWORKS
+    for name in fixed:
+        if name not in known:
+            raise ValueError(
+                f'fixed.{name} has no effect on surrogate "{surrogate}", which has {", ".join(known)}'
+            )
+    if fault := _fault(VARIANTS[form_of(surrogate, fixed)], **fixed):
+        raise ValueError(f"fixed: {fault}")
+
+
+def form_of(surrogate: str, settings: Mapping[str, Any]) -> str:
+    """Return the named form whose other settings go with a decoder that is fixed."""
+    return FORMS.get(str(settings.get("decoder")), surrogate) if surrogate in FORMS.values() else surrogate
+
+
 def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[str, Any]]) -> None:
     """Check a search space, and the configurations to begin with, against the surrogate's settings.
 
@@ -154,9 +177,9 @@ def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[s
         seen.add(name)
         for value in parameter.choices or (parameter.low, parameter.high):
             # One of the forms takes it: what goes together with what is known in each trial alone.
-            faults = [_fault(form, name, value) for form in VARIANTS.values()]
+            faults = [_fault(form, **{name: value}) for form in VARIANTS.values()]
             if all(faults):
-                raise ValueError(f"search.{name}: {_fault(base, name, value)}")
+                raise ValueError(f"search.{name}: {_fault(base, **{name: value})}")
     for place, settings in enumerate(enqueued):
         for name, value in settings.items():
             if name not in space:
@@ -165,10 +188,10 @@ def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[s
                 raise ValueError(f"enqueue[{place}].{name} = {value} is no value of search.{name}")
 
 
-def _fault(form: SurrogateConfig, name: str, value: Any) -> str:
-    """Say why a form of the surrogate cannot take a setting, nothing where it can."""
+def _fault(form: SurrogateConfig, **settings: Any) -> str:
+    """Say why a form of the surrogate cannot take settings, nothing where it can."""
     try:
-        form.replace(**{name: value})
+        form.replace(**settings)
     except ValueError as error:
         return str(error)
     return ""

@@ -20,7 +20,7 @@ from studies.results.row_set import RowSet
 from studies.results.saved import write_arrays
 from studies.results.stage_results import SimulatedSets, Tuned
 from studies.results.trials import TunedStudy
-from studies.search_space import NETWORK_SPACE
+from studies.search_space import FORMS, NETWORK_SPACE, form_of
 from studies.stages.simulate_stage import set_files
 from studies.task import StageError, Task
 from studies.tuning.attempts import places
@@ -28,9 +28,6 @@ from studies.tuning.sampler import make_pruner, make_sampler
 from studies.tuning.study_results import of_project
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.words.wording import count, difference_unit, quantity
-
-FORMS = {"layers": "refined", "state-space": "state-space"}
-"""Named form of the surrogate with each decoder, where the decoder is searched."""
 
 
 def require_tuning(task: Task) -> None:
@@ -131,12 +128,18 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
     budget, space = task.profile.tuning, task.case.parameter_space
     sets = {name: RowSet.load(file).read() for name, file in set_files(task, simulated).items()}
     given = {"max_epochs": budget.max_epochs, "patience": budget.patience}
-    longer = {name: value for name, value in given.items() if value is not None}
-    search, surrogate, files, driven = dict(budget.space), budget.surrogate, dict(simulated.files), {}
+    longer = {name: value for name, value in given.items() if value is not None} | dict(budget.fixed)
+    surrogate = form_of(budget.surrogate, budget.fixed)
+    search, files, driven = dict(budget.space), dict(simulated.files), dict[str, str]()
     decoders = search["decoder"].choices if "decoder" in search else (VARIANTS[surrogate].decoder,)
     if "state-space" in decoders:
         if (written := written_drive(task)) is not None:
             files[DRIVE], driven[DRIVE] = written
+        elif "decoder" in budget.fixed:
+            raise InputError(
+                f"profile {task.profile.name}: tuning.fixed.decoder: the experiments differ in inputs, "
+                'outputs or step; fix "layers"'
+            )
         else:
             task.console.warn("tune: the experiments differ in inputs, outputs or step: layers decode alone")
             search = {name: one for name, one in search.items() if name in NETWORK_SPACE}

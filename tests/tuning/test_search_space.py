@@ -131,3 +131,31 @@ def test_the_configurations_of_a_profile_come_right_after_the_default(project: P
     trials = plain_study(project, spec.name).get_trials()
     default = default_point(space(SEARCH), spec.base_config)
     assert [trial.params for trial in trials] == [default, default | enqueue[0], default | enqueue[1]]
+
+
+def fixed_profile(tmp_path: Path, fixed: str, *, surrogate: str = "state-space") -> Path:
+    search = "n_hidden = { kind = 'int', low = 8, high = 16 }\n"
+    search += "decoder = { kind = 'categorical', choices = ['state-space', 'layers'] }"
+    text = PROFILE.format(more=f'surrogate = "{surrogate}"', search=search) + f"[tuning.fixed]\n{fixed}\n"
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    return tmp_path / "mine.toml"
+
+
+def test_a_fixed_setting_is_not_searched(tmp_path: Path) -> None:
+    budget = load_profile(str(fixed_profile(tmp_path, "decoder = 'layers'\nbeta = 7.0"))).tuning
+    assert set(budget.space) == {"n_hidden"}
+    assert budget.fixed == {"decoder": "layers", "beta": 7.0}
+
+
+@pytest.mark.parametrize(
+    ("fixed", "said"),
+    [
+        ("n_hiden = 8", "fixed.n_hiden has no effect on surrogate"),
+        ("n_scales = 2", "fixed.n_scales has no effect on surrogate"),
+        ("beta = 'ten'", "fixed: beta = 'ten' must be float"),
+        ("decoder = 'trees'", "fixed: decoder = 'trees' must be one of"),
+    ],
+)
+def test_a_fixed_setting_that_is_none_is_refused_in_one_line(tmp_path: Path, fixed: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        load_profile(str(fixed_profile(tmp_path, fixed)))
