@@ -1,7 +1,7 @@
 """Trials of the tuning and what a study of them has come to."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +29,7 @@ class TrialView:
         best_epoch: epoch whose weights were kept.
         began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
+        reported: validation MAE by epoch, where trials are compared. [output's unit]
     """
 
     number: int
@@ -43,6 +44,7 @@ class TrialView:
     best_epoch: int
     began_s: float
     weights_sha256: str
+    reported: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,29 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
+import logging
+import math
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import optuna
 
+from simulation.errors import MachineError
+from studies.reporting.drawing import write_picture
+from studies.reporting.figures_tuning import study_figure
 from studies.results.declaration import Declaration
 from studies.tracking.leaderboard import GAIN, SEARCHED, set_views
 from studies.tracking.runs import SURROGATE, RunStore, register_best
+from studies.tracking.study_tags import NOTE, with_line
 from studies.tracking.trial_run import end_run, trial_role
+from studies.words.wording import count, difference_unit, percent, quantity, setting
 
 if TYPE_CHECKING:
     from studies.results.trials import TrialView, TunedStudy
 
+_LOG = logging.getLogger(__name__)
+_BEST_TRIAL = "Best trial"
 BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
 
@@ -83,7 +94,35 @@ def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: 
         if not spec.is_baseline:
             register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
+    _describe(runs, found, run_id)
     runs.end(run_id, "FINISHED")
+
+
+def _describe(runs: RunStore, found: "TunedStudy", run_id: str) -> None:
+    """Say what a study came to at the head of its run's page, and draw its trials."""
+    spec, best = found.spec, found.best
+    said = [f"{count(found.n_ended, 'trial')}, of which {count(found.count('pruned'))} pruned"]
+    if best is not None:
+        unit = difference_unit(spec.output_unit)
+        said = [
+            f" {best.number}: test MAE {quantity(best.metrics.get('test/mae', math.nan), unit)}",
+            f"P90 {quantity(best.metrics.get('test/p90', math.nan), unit)}",
+            *(f"{name} {setting(value)}" for name, value in best.params.items()),
+            *([] if found.gain is None else [f"gain over the default {percent(found.gain)}"]),
+            *said,
+        ]
+    before = runs.client.get_run(run_id).data.tags.get(NOTE, "")
+    line = "" if best is None else ", ".join(said)
+    runs.log(run_id, tags={NOTE: with_line(before, _BEST_TRIAL, line, spec.note)})
+    if found.n_closed == len(found.trials) or (figure := study_figure(found)) is None:
+        return
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        try:
+            picture = write_picture(figure, Path(scratch) / "trials.svg", footnote=spec.label)
+        except MachineError as error:
+            _LOG.warning("%s: %s; its numbers are complete", spec.name, error)
+            return
+        runs.log_files(run_id, [picture], "figures")
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

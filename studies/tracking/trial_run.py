@@ -24,7 +24,7 @@ FLUSH_S = 2.0
 
 
 def trial_role(spec: Declaration) -> str:
-    """Return the tag `role` of a study's trials: who looks for the least error finds no baseline among them."""
+    """Return the tag `role` of a study's trials: no baseline is found among those of networks."""
     return "baseline trial" if spec.is_baseline else "trial"
 
 
@@ -51,7 +51,13 @@ class TrialRun:
         record: dict[str, Any],
     ) -> None:
         parent = {PARENT: study_run} if study_run else {}
-        tags = {"role": trial_role(spec), "study": spec.name, "trial": trial, "n_train": spec.n_train, **parent}
+        tags = {
+            "role": trial_role(spec),
+            "study": spec.name,
+            "trial": trial,
+            "n_train": spec.n_train,
+            **parent,
+        }
         self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
         self._runs = runs
         self._points: list[entities.Metric] = []

@@ -125,6 +125,8 @@ class _Size:
 
 
 _LOG = logging.getLogger(__name__)
+BEST_OF_SIZES = "Best per n_train"
+"""Begins our line in the note of an experiment."""
 OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
 
 
@@ -210,9 +212,7 @@ def tune(
             for size in largest_first:
                 size.stop()
             raise
-        runs.describe(
-            specs[0].label, "\n\n".join(filter(None, (_best_of_sizes(paths, specs[0]), specs[0].note)))
-        )
+        runs.describe(specs[0].label, BEST_OF_SIZES, _best_of_sizes(paths, specs[0]), specs[0].note)
         return [sizes[spec.n_train].results[spec.name] for spec in specs]
 
 
@@ -232,7 +232,7 @@ def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
         f"{', '.join(significant(one.metrics[name]) for name in ('test/mae', 'test/p90'))}"
         for one in found
     ]
-    return f"Best per n_train ({' / '.join(names)} → test MAE, P90 {found[0].unit}): {' · '.join(each)}"
+    return f" ({' / '.join(names)} → test MAE, P90 {found[0].unit}): {' · '.join(each)}"
 
 
 def closed_studies(
