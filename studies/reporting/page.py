@@ -3,8 +3,9 @@
 import base64
 import gzip
 import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
@@ -32,6 +33,7 @@ from studies.reporting.figures_model import (
     mae_over_n_figure,
     sensitivity_figure,
 )
+from studies.reporting.figures_tuning import learning_figure, slices_figure
 from studies.reporting.sentences import (
     calibration_sentences,
     headline,
@@ -42,6 +44,7 @@ from studies.reporting.tables import (
     Calibrations,
     best_of,
     calibrations_table,
+    importances_table,
     intervals_table,
     parameters_table,
     sensitivity_table,
@@ -50,6 +53,7 @@ from studies.reporting.tables import (
 )
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, TunedSize, Uncertainty
+from studies.results.trials import TunedStudy
 from studies.templates import environment
 from studies.words.wording import count, difference_unit, quantity, square_of
 
@@ -67,6 +71,8 @@ class ReportData:
         sensitivity: Sobol indices, if they were asked for.
         tuned: The best surrogate of each training-set size.
         trials: Every trial of the studies.
+        studies: The study of each training-set size, in its order.
+        importances: Part of each hyperparameter in what decides the error, by training-set size and name. [1]
         uncertainties: How sure the calibrations are, as far as that was asked.
         commands: What made the results.
     """
@@ -78,6 +84,8 @@ class ReportData:
     sensitivity: SobolIndices | None = None
     tuned: tuple[TunedSize, ...] = ()
     trials: TrialsRecord | None = None
+    studies: tuple[TunedStudy, ...] = ()
+    importances: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     uncertainties: tuple[Uncertainty, ...] = ()
     commands: tuple[str, ...] = ()
 
@@ -142,16 +150,25 @@ def sections_of(data: ReportData) -> list[Section]:
     if best is not None:
         sections.append(replace(_calibration(data, best), anchor="calibration", heading="Calibration"))
     sections += [_uncertainty(data, one) for one in data.uncertainties]
-    trials = () if data.trials is None else (mae_over_n_figure(data.trials, unit=unit),)
+    pca_gp = {one.n_train: _errors(one.baseline) for one in data.tuned if one.baseline}
+    beside = {"PCA + GP": pca_gp} if pca_gp else {}
+    trials = () if data.trials is None else (mae_over_n_figure(data.trials, unit=unit, beside=beside),)
+    trials += tuple(filter(None, (slices_figure(data.studies), learning_figure(data.studies))))
+    importances = (importances_table(data.importances),) if any(data.importances.values()) else ()
     model = () if data.coverage is None else (coverage_figure(case, data.coverage),)
     model += () if sobol is None else (sensitivity_figure(sobol),)
     indices = () if sobol is None else (sensitivity_table(sobol),)
     return [
         *sections,
         Section("sizes", "All calibrations", (), whole, others),
-        Section("surrogate", "All trials", trials),
+        Section("surrogate", "All trials", trials, importances),
         Section("model", "The model and its parameters", model, indices),
     ]
+
+
+def _errors(metrics: Mapping[str, float]) -> tuple[float, float]:
+    """Return MAE and 90th percentile on the test set. [output's unit]."""
+    return metrics.get("test/mae", math.nan), metrics.get("test/p90", math.nan)
 
 
 def _calibration(data: ReportData, outcome: Outcome[Calibration]) -> Section:

@@ -1,6 +1,6 @@
 """The tables of results, for the terminal and the page alike; every cell is written here."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -93,6 +93,18 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
     how = "validation error (MAE, P90: test set" if has_sets else "cross-validated error (MAE, P90"
     title = f"Best surrogate per training-set size by {how}; gain over default)"
     return Table(title, columns, rows)
+
+
+def importances_table(importances: Mapping[int, Mapping[str, float]]) -> Table:
+    """Tabulate how much each hyperparameter decides the validation error, a row per training-set size.
+
+    Args:
+        importances: Parts that sum to 1, by size and name; a size with too few trials has none. [1]
+    """
+    names = tuple(dict.fromkeys(name for one in importances.values() for name in one))
+    rows = [[count(n), *(percent(one.get(name)) for name in names)] for n, one in importances.items()]
+    columns = (number("n_train"), *(number(name) for name in names))
+    return Table("Importance of each hyperparameter by PED-ANOVA, complete and pruned trials", columns, rows)
 
 
 def sensitivity_table(found: SobolIndices) -> Table:

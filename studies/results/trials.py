@@ -36,6 +36,7 @@ class TrialView:
         began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
         parts: what a mean is made of, whose leading trial this is then; none of a trial alone.
+        reported: validation MAE by epoch, where trials are compared. [output's unit]
     """
 
     spec: Declaration
@@ -52,6 +53,7 @@ class TrialView:
     began_s: float
     weights_sha256: str
     parts: tuple[MeanPart, ...] = ()
+    reported: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def model(self) -> str:

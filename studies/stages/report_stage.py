@@ -15,6 +15,7 @@ from studies.stages.stage_runs import log_report
 from studies.stages.tuned_trials import trials_record, tuned_by_size
 from studies.task import Task
 from studies.tracking.origin import versions
+from studies.tuning.study_results import importances
 
 N_COVERAGE = 256
 """Trajectories drawn of the training set, as in the paper's Fig. 4."""
@@ -54,6 +55,8 @@ def report_stage(task: Task) -> Outcome[Reported]:
             sensitivity=stored(task, "sensitivity", SobolIndices),
             tuned=tuple(one.summary(baselines.values()) for one in tuned.values() if one.best is not None),
             trials=trials_record(tuned),
+            studies=tuple(tuned.values()),
+            importances={n: _importances(one) for n, one in tuned.items()},
             uncertainties=tuple(one.result for one in uncertainties),
             commands=tuple(dict.fromkeys(str(one.provenance["command"]) for one in calibrations)),
         )
@@ -67,6 +70,13 @@ def report_stage(task: Task) -> Outcome[Reported]:
 def show_report(task: Task, found: Reported) -> None:
     """Say where the report lies."""
     task.console.result(f"Report: {task.paths.root / found.index}")
+
+
+def _importances(study: TunedStudy) -> dict[str, float]:
+    """Return the part of each hyperparameter in what decides the validation error. [1]."""
+    judged = [one for one in study.trials if one.value is not None and one.params]
+    values = [one.value for one in judged if one.value is not None]
+    return importances([one.params for one in judged], values, study.spec.space)
 
 
 def _coverage(task: Task) -> FloatArray | None:

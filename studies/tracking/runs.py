@@ -35,8 +35,8 @@ from studies.tracking.quiet_mlflow import (
 )
 from studies.tracking.sending import begin_sending
 from studies.tracking.shared_names import PROJECT, own_experiment
-from studies.tracking.study_tags import NOTE, TRACKING
-from studies.words.wording import difference_unit
+from studies.tracking.study_tags import NOTE, TRACKING, with_line
+from studies.words.wording import difference_unit, setting
 
 if TYPE_CHECKING:
     from pelsvae.mean_surrogate import MeanSurrogate
@@ -91,9 +91,11 @@ class RunStore:
                 self._experiments[label] = own_experiment(self.client, label, self._identity, location)
         return self._experiments[label]
 
-    def describe(self, label: str, note: str) -> None:
-        """Set the text at the head of a label's page."""
-        self.client.set_experiment_tag(self.experiment(label), NOTE, without_pictures(note))
+    def describe(self, label: str, lead: str, line: str, usual: str) -> None:
+        """Bring our line in the text at the head of a label's page up to date, see `with_line`."""
+        experiment = self.client.get_experiment(self.experiment(label))
+        note = with_line(experiment.tags.get(NOTE, ""), lead, line, usual)
+        self.client.set_experiment_tag(experiment.experiment_id, NOTE, note)
 
     def find(self, label: str, tags: Mapping[str, str], *, status: RunStatus | None = None) -> list[Run]:
         """Return the runs of an experiment that have all of some tags, the earliest first."""
@@ -365,11 +367,16 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     client.log_outputs(best.run_id, [entities.LoggedModelOutput(made.model_id, step=0)])
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
     which = f"{best.model[:1].upper()}{best.model[1:]} of {spec.name}"
-    said = ". ".join(part for part in (which, errors, spec.note) if part)
+    chosen = ", ".join(f"{name} {setting(value)}" for name, value in best.params.items())
+    said = ". ".join(filter(None, (which, errors, chosen, spec.note)))
     if not client.search_registered_models(f"name = '{spec.model_name}'"):
         client.create_registered_model(spec.model_name)
     # By place: to follow the model's id, MLflow looks into the store of the process.
     registered = client.create_model_version(
-        spec.model_name, source=place, run_id=best.run_id, description=without_pictures(said)
+        spec.model_name,
+        source=place,
+        run_id=best.run_id,
+        tags={name: str(value) for name, value in {**best.params, **best.metrics}.items()},
+        description=without_pictures(said),
     )
     return int(registered.version)

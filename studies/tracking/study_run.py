@@ -1,23 +1,31 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
+import logging
+import math
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import optuna
 
+from simulation.errors import MachineError
+from studies.reporting.drawing import write_picture
+from studies.reporting.figures_tuning import study_figure
 from studies.results.declaration import Declaration
 from studies.tracking.leaderboard import GAIN, JUDGED_BY, SEARCHED, set_views
 from studies.tracking.runs import SURROGATE, RunStore, register_best
-from studies.tracking.study_tags import PARENT
+from studies.tracking.study_tags import NOTE, PARENT, with_line
 from studies.tracking.trial_run import end_run
-from studies.words.wording import difference_unit, quantity
+from studies.words.wording import count, difference_unit, percent, quantity, setting
 
 if TYPE_CHECKING:
     from studies.results.trials import TrialView, TunedStudy
 
 PROMOTED = "promoted"
 """Tag of a model's version: why it took the place of another one."""
+_LOG = logging.getLogger(__name__)
+_BEST_TRIAL = "Best trial"
 BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
 
@@ -95,6 +103,7 @@ def close_study(runs: RunStore, found: "TunedStudy", spec: Declaration, run_id: 
         if alone.gain is not None:
             numbers["best/gain_over_default"] = alone.gain
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
+    _describe(runs, found, spec, run_id)
     runs.end(run_id, "FINISHED")
 
 
@@ -175,6 +184,35 @@ def log_mean(
     runs.log_files(run_id, sorted(weights.iterdir()), SURROGATE)
     runs.end(run_id, "FINISHED")
     return run_id
+
+
+def _describe(runs: RunStore, every: "TunedStudy", spec: Declaration, run_id: str) -> None:
+    """Say what a study came to at the head of its run's page, and draw its trials."""
+    found = every.of(spec.name)
+    best = found.best_trial
+    said = [f"{count(found.n_ended, 'trial')}, of which {count(found.count('pruned'))} pruned"]
+    if best is not None:
+        unit = difference_unit(spec.output_unit)
+        said = [
+            f" {best.number}: {spec.judged_by} MAE "
+            f"{quantity(best.metrics.get(f'{spec.judged_by}/mae', math.nan), unit)}",
+            f"P90 {quantity(best.metrics.get(f'{spec.judged_by}/p90', math.nan), unit)}",
+            *(f"{name} {setting(value)}" for name, value in best.params.items()),
+            *([] if found.gain is None else [f"gain over the default {percent(found.gain)}"]),
+            *said,
+        ]
+    before = runs.client.get_run(run_id).data.tags.get(NOTE, "")
+    line = "" if best is None else ", ".join(said)
+    runs.log(run_id, tags={NOTE: with_line(before, _BEST_TRIAL, line, spec.note)})
+    if every.is_closed or (figure := study_figure(found)) is None:
+        return
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        try:
+            picture = write_picture(figure, Path(scratch) / "trials.svg", footnote=spec.label)
+        except MachineError as error:
+            _LOG.warning("%s: %s; its numbers are complete", spec.name, error)
+            return
+        runs.log_files(run_id, [picture], "figures")
 
 
 def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:

@@ -129,6 +129,7 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         best_epoch=int(training.get("best_epoch", 0)),
         began_s=began,
         weights_sha256=str(training.get("weights_sha256", "")),
+        reported=dict(trial.intermediate_values),
     )
 
 

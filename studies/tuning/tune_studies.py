@@ -210,6 +210,10 @@ class _Size:
                 part.runs.end(part.run_id, "KILLED")
 
 
+BEST_OF_SIZES = "Best per n_train"
+"""Begins our line in the note of an experiment."""
+
+
 def tune(
     specs: Sequence[Declaration],
     *,
@@ -294,9 +298,7 @@ def tune(
             for size in largest_first:
                 size.stop()
             raise
-        runs.describe(
-            specs[0].label, "\n\n".join(filter(None, (_best_of_sizes(paths, specs[0]), specs[0].note)))
-        )
+        runs.describe(specs[0].label, BEST_OF_SIZES, _best_of_sizes(paths, specs[0]), specs[0].note)
         return [sizes[spec.n_train].results[spec.name] for spec in specs]
 
 
@@ -318,7 +320,7 @@ def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
         for one in found
     ]
     judged = "cross-validated" if found[0].folds else "test"
-    return f"Best per n_train ({' / '.join(names)} → {judged} MAE, P90 {found[0].unit}): {' · '.join(each)}"
+    return f" ({' / '.join(names)} → {judged} MAE, P90 {found[0].unit}): {' · '.join(each)}"
 
 
 def closed_studies(
