@@ -1,7 +1,7 @@
 """Optimizers that may polish, by the name that a profile gives them; a new one is a class and a line here."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -157,11 +157,13 @@ class GuidedSearch:
             The best point seen.
         """
         settings = Adaptive.for_sensor(float(problem.measurement.uncertainty[0]), max_calls=self.max_calls)
-        if known is None:
-            known = problem.evaluate(u0)
-            settings = replace(settings, max_calls=max(self.max_calls - 1, 1))
         return settings.minimize(
-            problem, seed=seed, known=known, surrogate=surrogate, on_progress=on_progress
+            problem,
+            seed=seed,
+            known=known,
+            surrogate=surrogate,
+            u0=u0 if known is None else None,
+            on_progress=on_progress,
         )
 
 

@@ -10,7 +10,7 @@ from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_
 from toy_rc import ToyRC
 
 from simulation.errors import InputError
-from studies.calibration.optimizers import SciPyMinimize, optimizer_of
+from studies.calibration.optimizers import GuidedSearch, SciPyMinimize, optimizer_of
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
@@ -35,6 +35,7 @@ def _polish(settings: Any) -> Optimizer:
 OPTIMIZERS: dict[str, Optimizer] = {
     "differential evolution": _screen,
     "LS-TRF": _polish(LeastSquaresTRF(ftol=1e-12)),
+    "guided search": _polish(GuidedSearch()),
     "COBYQA": _polish(SciPyMinimize(tol=1e-10)),
     "L-BFGS-B": _polish(SciPyMinimize("L-BFGS-B", tol=1e-10)),
     "LS-TRF squared": _polish(LeastSquaresTRF(ftol=1e-14, xtol=1e-12, residuals="squared")),

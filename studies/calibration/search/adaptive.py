@@ -88,6 +88,7 @@ class Adaptive(SearchSettings):
         learned_ode: Proposer | None = None,
         network_inputs: Drive | None = None,
         surrogate: CalibrationProblem | None = None,
+        u0: FloatArray | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.
@@ -105,6 +106,7 @@ class Adaptive(SearchSettings):
                 otherwise.
             surrogate: The problem, posed to a surrogate that was trained before, which leads the search; None
                 for none.
+            u0: A point to ask before all others, clipped into the unit cube; None for none. Shape (p,). [1]
             on_progress: Called after each round, and before what may take seconds.
 
         Returns:
@@ -134,6 +136,8 @@ class Adaptive(SearchSettings):
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             # What overflows counts as failed, and is no news to who calibrates.
             with threadpool_limits(limits=1, user_api="blas"), np.errstate(all="ignore"):
+                if u0 is not None:
+                    state.ask(np.clip(u0, 0.0, 1.0)[None])
                 ending = run(state)
         except BudgetExceeded as end:
             missed = "" if self.target_mse is None else f"; the target of {self.target_mse:g} is missed"
