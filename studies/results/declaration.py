@@ -127,9 +127,9 @@ class Declaration:
         return size_name(self.n_train) + kind
 
     @property
-    def role(self) -> Literal["trial", "confirmation"]:
-        """What the runs of its trials are called in MLflow."""
-        return "confirmation" if self.is_confirmation else "trial"
+    def role(self) -> Literal["trial", "baseline trial", "confirmation"]:
+        """What its trials are called in MLflow: the least error of all trials is no baseline's."""
+        return "confirmation" if self.is_confirmation else "baseline trial" if self.is_baseline else "trial"
 
     @property
     def confirmation(self) -> "Declaration":

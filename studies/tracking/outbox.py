@@ -16,6 +16,7 @@ from mlflow.models import Model
 from studies.paths import ProjectPaths
 from studies.results.declaration import ALIAS
 from studies.server import Server
+from studies.tracking.leaderboard import SHARED_VIEW
 from studies.tracking.quiet_mlflow import (
     LocalArtifactRepository,
     connect,
@@ -157,7 +158,7 @@ class Outbox:
 
     def _send(self, label: str, run: entities.Run, content: dict[str, Any]) -> None:
         run_id, there = run.info.run_id, self._there
-        noted, experiment = self._sent.runs.setdefault(run_id, {}), self._experiment(label)
+        noted, experiment = self._sent.runs.setdefault(run_id, {}), self._experiment(label, run)
         if "id" not in noted:
             noted["id"] = self._found_or_made(experiment, run, content)
             self._sent.write(self._paths, self._server)
@@ -201,7 +202,7 @@ class Outbox:
         made = self._there.create_run(experiment, start_time=run.info.start_time, run_name=name, tags=tags)
         return str(made.info.run_id)
 
-    def _experiment(self, label: str) -> str:
+    def _experiment(self, label: str, run: entities.Run) -> str:
         if label not in self._checked:
             given, known = self._server.experiment, self._sent.experiments.get(label)
             name = f"{given}{label}" if given.endswith("/") or not given else given
@@ -209,7 +210,10 @@ class Outbox:
                 self._say(
                     f"experiment {name} was deleted on {self._server.uri}: restored, for runs are sent there"
                 )
-            self._sent.experiments[label] = own_experiment(self._there, name, self._paths.identity)
+            there = self._sent.experiments[label] = own_experiment(self._there, name, self._paths.identity)
+            for tag, view in self._own.get_experiment(run.info.experiment_id).tags.items():
+                if tag.startswith(SHARED_VIEW):
+                    self._there.set_experiment_tag(there, tag, view)
             self._checked.add(label)
         return self._sent.experiments[label]
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import optuna
 
 from studies.results.declaration import Declaration
+from studies.tracking.leaderboard import GAIN, JUDGED_BY, SEARCHED, set_views
 from studies.tracking.runs import SURROGATE, RunStore, register_best
 from studies.tracking.study_tags import PARENT
 from studies.tracking.trial_run import end_run
@@ -31,10 +32,11 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
     role = f"{kind}study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
     tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
+    set_views(runs, spec.label, spec.search, spec.judged_by)
     made = runs.begin(spec.label, f"{spec.size} study", tags)
-    params = {"n_train": spec.n_train, "n_trials": n_trials, "seed": spec.seed}
+    params = {"n_train": spec.n_train, "n_trials": n_trials, "seed": spec.seed, JUDGED_BY: spec.judged_by}
     params |= {"sampler": spec.sampler["name"], "pruner": spec.pruner["name"]}
-    runs.log(made, params=params | {f"search.{name}": one for name, one in spec.search.items()})
+    runs.log(made, params=params | {f"{SEARCHED}{name}": one for name, one in spec.search.items()})
     return made
 
 
@@ -113,6 +115,8 @@ def promote(runs: RunStore, found: "TunedStudy") -> tuple[int | None, str]:
     mark_best(runs, found.spec, best)
     if found.spec.is_baseline:
         return None, ""
+    if found.gain is not None:
+        runs.log(best.run_id, metrics={GAIN: found.gain})
     before = runs.champion(best.spec.model_name)
     version = register_best(runs, best)
     if before is None or int(before.version) == version:

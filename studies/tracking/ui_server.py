@@ -9,12 +9,12 @@ import time
 import urllib.request
 from collections.abc import Mapping
 from contextlib import suppress
-from urllib.parse import quote, urlencode
 
 from simulation.errors import InputError, MachineError
 from simulation.pool.family import end_with_parent
 from simulation.write_gate import check_written
 from studies.paths import ProjectPaths
+from studies.tracking.leaderboard import CHARTS, TABLE, page_of, set_views
 from studies.tracking.sent_runs import sent_runs
 from studies.words.console import Console
 
@@ -23,11 +23,6 @@ START_LIMIT_S, STOP_LIMIT_S = 120.0, 10.0
 LOG_FILE = "ui.log"
 # The job runners that MLflow would start take two gigabytes, and nothing here uses them.
 ENVIRONMENT = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false", "MLFLOW_DISABLE_TELEMETRY": "true"}
-# Sorted by a metric, the trials do not hide below the runs of their studies.
-LEADERBOARD = urlencode(
-    {"searchFilter": "tags.best = 'yes'", "orderByKey": "metrics.`test/mae`", "orderByAsc": "false"},
-    quote_via=quote,
-)
 
 
 def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: int | None) -> int:
@@ -99,8 +94,13 @@ def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
     """Return the addresses of a label's best trials, of all its runs, and of the registered models."""
     from studies.tracking.runs import run_store
 
-    experiments = run_store(paths).client.search_experiments(order_by=["last_update_time DESC"])
-    return _pages_of({one.name: one.experiment_id for one in experiments if one.name != "Default"}, label)
+    runs = run_store(paths)
+    experiments = runs.client.search_experiments(order_by=["last_update_time DESC"])
+    known = {one.name: one.experiment_id for one in experiments if one.name != "Default"}
+    pages = _pages_of(known, label)
+    if known:
+        set_views(runs, label or next(iter(known)))  # those of before have none
+    return pages
 
 
 def _pages_of(known: Mapping[str, str], label: str | None) -> dict[str, str]:
@@ -109,9 +109,12 @@ def _pages_of(known: Mapping[str, str], label: str | None) -> dict[str, str]:
     if not known:
         return {"MLflow, without a run yet": ""}
     chosen = label or next(iter(known))
-    runs = f"#/experiments/{known[chosen]}/runs?workflowType=machine_learning"
-    best = f"Best trial per training-set size of {chosen}"
-    return {f"All runs of {chosen}": runs, best: f"{runs}&{LEADERBOARD}", "Registered models": "#/models"}
+    return {
+        f"Leaderboard of {chosen}, the best trial per training-set size": page_of(known[chosen], TABLE),
+        f"Charts of {chosen}, every trial": page_of(known[chosen], CHARTS),
+        f"All runs of {chosen}": page_of(known[chosen], None),
+        "Registered models": "#/models",
+    }
 
 
 def _free_port(wanted: int | None) -> int:

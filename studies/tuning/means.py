@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def best_mean(
     errors = judge(mean, spec, data)
     parts = tuple(
         MeanPart(
-            kind="pca-gp" if candidates[k].spec.is_baseline else candidates[k].spec.role,
+            kind=_kind(candidates[k].spec),
             study=candidates[k].spec.name,
             trial=candidates[k].number,
             run_id=run_ids[k],
@@ -98,6 +98,10 @@ def best_mean(
             weights=folder,
         )
         return replace(made, run_id=run_id, weights_sha256=file_digest(folder / "weights.npz"))
+
+
+def _kind(spec: Declaration) -> Literal["trial", "confirmation", "pca-gp"]:
+    return "pca-gp" if spec.is_baseline else "confirmation" if spec.is_confirmation else "trial"
 
 
 def share_name(place: int) -> str:

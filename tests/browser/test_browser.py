@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 SLOW_MS = 90_000
 ALL = "All runs of office-smoke"
-BEST = "Best trial per training-set size of office-smoke"
+BEST = "Leaderboard of office-smoke, the best trial per training-set size"
+CHARTS = "Charts of office-smoke, every trial"
 MODELS = "Registered models"
 
 
@@ -40,8 +41,8 @@ def tuned(project: Path) -> list[TunedStudy]:
     return found
 
 
-def test_three_addresses_of_this_machine_are_printed(addresses: dict[str, str]) -> None:
-    assert set(addresses) == {ALL, BEST, MODELS}
+def test_four_addresses_of_this_machine_are_printed(addresses: dict[str, str]) -> None:
+    assert list(addresses) == [BEST, CHARTS, ALL, MODELS]
     assert all(address.startswith("http://127.0.0.1:") for address in addresses.values())
 
 
@@ -76,6 +77,41 @@ def test_the_best_trials_are_filtered_from_the_others(
     assert cells.filter(has_text=" trial 0").count() == n_trials
     assert cells.filter(has_text="PCA + GP").count() == 0
     assert cells.filter(has_text="calibration").count() == 0
+
+
+def test_the_leaderboard_shows_errors_and_hyperparameters_without_a_click(
+    page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]
+) -> None:
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.goto(addresses[BEST])
+    page.get_by_role("gridcell").filter(has_text="n0016 trial").first.wait_for()
+    ends = [0.0]
+    for name in ("test/mae", "test/p90", "n_train", "n_latent", "n_hidden", "beta", "gain"):
+        title = page.locator(f".ag-header-cell[col-id$='`{name}`']")
+        title.wait_for()
+        box = title.bounding_box()
+        assert box is not None
+        assert box["x"] >= ends[-1], name
+        ends.append(box["x"] + box["width"])
+    # What MLflow opens beside it at the first visit covers none of them.
+    assistant = page.get_by_text("MLflow Assistant").first.bounding_box()
+    assert assistant is not None
+    assert ends[-1] <= assistant["x"]
+    for study in tuned:
+        assert study.best is not None
+        start = f"{study.best.metrics['test/mae']:.17g}"[:5]
+        page.get_by_role("gridcell").filter(has_text=start).first.wait_for()
+
+
+def test_the_charts_show_the_error_over_n_and_over_each_hyperparameter(
+    page: "Page", addresses: dict[str, str]
+) -> None:
+    page.goto(addresses[CHARTS])
+    for x in ("n_train", "n_latent", "n_hidden", "beta"):
+        page.get_by_text(f"{x} vs. test/mae").first.wait_for()
+    page.get_by_text("n_train vs. test/p90").first.wait_for()
+    page.get_by_text("Parallel Coordinates").first.wait_for()
+    page.locator(".js-plotly-plot .points path").first.wait_for()
 
 
 def test_a_trial_shows_its_hyperparameters_errors_and_curves(
