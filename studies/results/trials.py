@@ -107,7 +107,9 @@ class TunedStudy:
     def is_closed(self) -> bool:
         """Whether all trials have ended and the best one of them was registered."""
         n_ended = sum(one.state in ("complete", "pruned", "failed") for one in self.trials)
-        return self.n_closed == n_ended == len(self.trials)
+        # Projects of before noted no version, and their best one was chosen of the latest study alone.
+        is_registered = self.best is None or self.spec.is_baseline or self.best.run_id in self.versions
+        return is_registered and self.n_closed == n_ended == len(self.trials)
 
     @cached_property
     def usable(self) -> list[TrialView]:
@@ -250,8 +252,9 @@ class TunedStudy:
             return None
         if (version := self.versions.get(self.best.run_id)) is not None:
             return f"models:/{self.best.spec.model_name}/{version}"
-        # Projects of before noted no versions.
-        return self.best.spec.model_uri if self.n_closed and not self.versions else None
+        # Projects of before noted no versions; of several studies another one may have the alias.
+        is_alone = len({one.spec.name for one in self.trials}) == 1
+        return self.best.spec.model_uri if self.n_closed and not self.versions and is_alone else None
 
     def of(self, name: str) -> "TunedStudy":
         """Return what is of one study alone."""

@@ -34,7 +34,7 @@ def read_study(study: optuna.Study) -> TunedStudy:
         trials=tuple(_view(spec, trial) for trial in places),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
         gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
-        versions=dict(attrs.get(attempts.VERSIONS, {})),
+        versions=dict(attrs.get(attempts.VERSIONS) or {}),
         mean=None if not mean else rebuilt(BestMean, mean, f"the Optuna study {study.study_name!r}"),
     )
 

@@ -11,6 +11,7 @@ from studies.project import best_document, read_project, status_document
 from studies.results.declaration import Declaration
 from studies.results.trials import TunedStudy
 from studies.tracking.quiet_mlflow import connect
+from studies.tracking.runs import RunStore, register_best
 from studies.tuning.study_results import latest_studies, read_studies
 from studies.tuning.tune_studies import closed_studies, tune
 
@@ -89,6 +90,23 @@ def test_a_trial_that_another_program_ended_in_an_earlier_study_is_registered_by
     tune([edited], paths=copied, n_trials=1, n_jobs=1)
     plain_study(copied, spec.name).enqueue_trial({"n_latent": 5, "n_hidden": 17, "beta": 77.0})
     assert closed_studies([edited], copied, 1) is None
+
+
+def test_a_project_of_before_gets_one_answer_from_the_next_command(networks: ProjectPaths) -> None:
+    spec = tuned_study(16)
+    edited = replace(spec, search=EDITED, settings=spec.settings | {"max_epochs": 1})
+    (found,) = tune([edited], paths=networks, n_trials=1, n_jobs=1)
+    (worse,) = found.of(edited.name).trials
+    register_best(RunStore(networks), worse)  # the alias went to the best of the latest study
+    for name in (spec.name, edited.name):
+        study = plain_study(networks, name)
+        for attribute in ("versions", "mean"):
+            study.set_user_attr(attribute, None)
+    assert best_document(read_project(networks))["sizes"][0]["model_uri"] is None
+    assert closed_studies([edited], networks, 1) is None
+    tune([edited], paths=networks, n_trials=1, n_jobs=1)
+    assert closed_studies([edited], networks, 1) is not None
+    assert_one_answer(networks, edited)
 
 
 def test_other_data_begin_anew(copied: ProjectPaths) -> None:
