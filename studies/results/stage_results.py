@@ -109,6 +109,7 @@ class TunedSize:
         n_proposed: Trials that the sampler proposed from results.
         wall_s: Training time of all trials together. [s]
         to_go_s: Training time of the trials to come, on one core; None before the first trial. [s]
+        trials_per_h: Trials per hour of training, without those added by hand; None before the first. [1/h]
         gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
         trial: Number of the best trial; None without a complete one, as all that follows.
         run_id: MLflow's run of the best trial.
@@ -138,6 +139,7 @@ class TunedSize:
     wall_s: float
     to_go_s: float | None
     gain: float | None
+    trials_per_h: float | None = None
     trial: int | None = None
     run_id: str | None = None
     model_uri: str | None = None

@@ -26,6 +26,8 @@ MAX_RETRIES = 5
 RUN_ID, OWNER = "mlflow_run_id", "owner"
 DECLARATION, PLANNED, PROVENANCE, CLOSED = "declaration", "n_trials", "provenance", "closed"
 """Attributes of a study; `closed` says how many trials it had when its best surrogate was registered."""
+METRIC = "val/mae"
+"""What a study's value is called in Optuna's dashboard and tables, as in MLflow."""
 GONE = "gone"
 """Attribute of a study: runs in MLflow that cannot be recommended, as their owner deleted them."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
@@ -47,8 +49,12 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     # The declared name has a digest of what decides; a device or a limit may still have changed.
     if study.user_attrs.get(DECLARATION) != spec.to_dict():
         study.set_user_attr(DECLARATION, spec.to_dict())
-    if study.user_attrs.get(PLANNED, 0) < n_trials:
+    # The latest command decides, also with fewer trials than an interrupted one wanted.
+    if study.user_attrs.get(PLANNED) != n_trials:
         study.set_user_attr(PLANNED, n_trials)
+    with experimental():
+        if study.metric_names is None:
+            study.set_metric_names([METRIC])
     for place, params in enumerate(spec.first_points):
         if not study.get_trials(deepcopy=False) or place:
             origin = "default" if place == 0 else "profile"
@@ -118,6 +124,11 @@ def first_number(trial: FrozenTrial) -> int:
     with experimental():
         first = RetryHeartbeatStaleTrialCallback.retried_trial_number(trial)
     return trial.number if first is None else first
+
+
+def enqueued(trial: FrozenTrial) -> dict[str, Any]:
+    """Return the hyperparameters that a trial was enqueued with, under the name that Optuna gives them."""
+    return dict(trial.system_attrs.get("fixed_params", {}))
 
 
 def place_of(trial: FrozenTrial, trials: Sequence[FrozenTrial]) -> int:

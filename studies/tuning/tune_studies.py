@@ -37,7 +37,6 @@ class _Part:
     spec: Declaration
     study: optuna.Study
     run_id: str
-    n_planned: int
     storage: RDBStorage
     paths: ProjectPaths
     runs: RunStore
@@ -45,6 +44,11 @@ class _Part:
     @property
     def trials(self) -> list[FrozenTrial]:
         return self.study.get_trials(deepcopy=False)
+
+    @property
+    def is_unfinished(self) -> bool:
+        """Whether a worker would find a trial to begin; how many are planned the latest command decides."""
+        return attempts.is_unfinished(self.trials, int(self.study.user_attrs.get(attempts.PLANNED, 0)))
 
     def give_back(self) -> None:
         """Let the trials of dead workers be run again, and end the runs that they left open."""
@@ -77,7 +81,7 @@ class _Size:
     def is_waiting(self, n_parallel: int) -> bool:
         """Whether one of at most `n_parallel` workers could begin a trial."""
         is_full = len(self.workers) >= n_parallel
-        return not is_full and any(attempts.is_unfinished(part.trials, part.n_planned) for part in self.parts)
+        return not is_full and any(part.is_unfinished for part in self.parts)
 
     def look_after_workers(self) -> None:
         """See which workers have ended, and why.
@@ -179,7 +183,7 @@ def tune(
             for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
                 if value and study.user_attrs.get(name) != value:
                     study.set_user_attr(name, value)
-            part = _Part(spec, study, run_id, planned, storage, paths, runs)
+            part = _Part(spec, study, run_id, storage, paths, runs)
             part.give_back()
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
         # Begun last, the longest trainings would run alone at the end.

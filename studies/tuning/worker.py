@@ -19,12 +19,12 @@ from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.device import resolve_device
-from pelsvae.epochs import EpochReport
+from pelsvae.epochs import EpochReport, StopTraining
 from pelsvae.surrogate_files import save_surrogate
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, find_project
 from studies.results.provenance import file_digest
-from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
+from studies.search_space import OF_NETWORKS, OF_PCA_GP, check_point, suggested
 from studies.tracking.origin import environment
 from studies.tracking.runs import SURROGATE, RunStore
 from studies.tracking.sending import begin_sending, runs_sent
@@ -117,6 +117,7 @@ class Worker:
         if trial.relative_params and attempts.PROPOSED_BY not in trial.user_attrs:
             trial.set_user_attr(attempts.PROPOSED_BY, spec.sampler["name"])
         try:
+            check_point(spec.space, attempts.enqueued(trials[trial.number]))
             params = suggested(trial, spec.space, spec.base_config)
             config = spec.config(params)
         except (TypeError, ValueError) as error:
@@ -135,7 +136,7 @@ class Worker:
         trial.set_user_attr(attempts.RUN_ID, run.id)
         trial.set_user_attr(attempts.SEED, seed)
         began = time.perf_counter()
-        epoch = 0
+        epoch, stopped = 0, ""
 
         def on_epoch(report: EpochReport) -> None:
             nonlocal epoch
@@ -152,8 +153,9 @@ class Worker:
                 stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
 
         def stop(reason: str) -> None:
-            note(reason)
-            raise optuna.TrialPruned(reason)
+            nonlocal stopped
+            stopped = reason
+            raise StopTraining(reason)
 
         def note(reason: str, **more: Any) -> None:
             # Before the reason: whoever reads that a trial ended finds its curve complete.
@@ -166,24 +168,30 @@ class Worker:
             fitted, metrics = train(
                 spec, config, seed, self._data, drive=self._drive, on_epoch=on_epoch, on_report=compare
             )
-        except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
+        except StopTraining:  # of processes, which are not judged before their end
+            note(stopped)
+            raise optuna.TrialPruned(stopped) from None
+        except (OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
         except Exception as error:
             # Whatever else a configuration provokes (divergence, memory) is its result.
             said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
             note(reason := f"{type(error).__name__}: {said}")
             raise TrialFailedError(reason) from error
+        value = metrics.pop("val/mae")
+        for name, one in metrics.items():
+            trial.set_user_attr(name, one)
+        epoch = fitted.n_epochs
+        if stopped:
+            note(stopped, best_epoch=fitted.best_epoch)
+            raise optuna.TrialPruned(stopped)
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
             save_surrogate(fitted.surrogate, folder)
             weights = file_digest(folder / "weights.npz")
             # Only a trial that is the best when it ends can become its study's model.
-            if metrics["val/mae"] < self._best():
+            if value < self._best():
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
-        value = metrics.pop("val/mae")
-        for name, one in metrics.items():
-            trial.set_user_attr(name, one)
-        epoch = fitted.n_epochs
         note(fitted.stop_reason, best_epoch=fitted.best_epoch, weights_sha256=weights)
         return value
 
