@@ -13,6 +13,10 @@ class TrainingDiverged(RuntimeError):  # noqa: N818 - an outcome to expect, like
     """The loss or the validation error is no longer a finite number."""
 
 
+class StopTraining(Exception):  # noqa: N818 - a wish, as of a pruner, and no fault
+    """Raised by a caller's `on_epoch`: the training ends here, with the best weights so far."""
+
+
 @dataclass(frozen=True)
 class EpochReport:
     """What a caller learns after each validated epoch.
@@ -50,6 +54,8 @@ class BestWeights:
         self._best = [weight.detach().clone() for weight in weights]
         self._least = math.inf
         self.epoch = 0  # the best one
+        self.stopped = ""
+        """Why the caller wants no further epoch; empty while it does."""
 
     def judge(
         self, epoch: int, mae: float | None, terms: "Sequence[float]", names: Sequence[str], remedy: str
@@ -78,9 +84,11 @@ class BestWeights:
             self._best = [weight.detach().clone() for weight in self._weights]
         if self._on_epoch is not None:
             by_name = dict(zip(names, parts, strict=True))
-            self._on_epoch(
-                EpochReport(epoch, self._max_epochs, loss, math.nan if mae is None else mae, by_name)
-            )
+            judged = math.nan if mae is None else mae
+            try:
+                self._on_epoch(EpochReport(epoch, self._max_epochs, loss, judged, by_name))
+            except StopTraining as wish:
+                self.stopped = str(wish)
 
     def restore(self) -> None:
         """Put the best weights back."""

@@ -97,10 +97,11 @@ def train_network(
             continue
         mae = validation_error()
         best.judge(epoch, mae, sums.tolist(), LossTerms._fields[1:], "learning_rate or beta")
-        if epoch - best.epoch >= config.patience:
+        if best.stopped or epoch - best.epoch >= config.patience:
             break
     best.restore()
-    return best.epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
+    usual = "max_epochs" if epoch == config.max_epochs else "patience"
+    return best.epoch, epoch, best.stopped or usual
 
 
 def _replayed(step: Callable[[Tensor, float | Tensor], LossTerms], noise: torch.Generator) -> _Step:

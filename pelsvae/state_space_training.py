@@ -86,10 +86,11 @@ def train_state_space(
             continue
         mae = validation_error()
         best.judge(epoch, mae, torch.stack(terms).detach().tolist(), LossTerms._fields[1:], "learning_rate")
-        if epoch - best.epoch >= config.patience:
+        if best.stopped or epoch - best.epoch >= config.patience:
             break
     best.restore()
-    return best.epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
+    usual = "max_epochs" if epoch == config.max_epochs else "patience"
+    return best.epoch, epoch, best.stopped or usual
 
 
 def _loss(

@@ -32,7 +32,7 @@ class FitResult:
         surrogate: With the weights of the best validated epoch; of the last one without a validation set.
         best_epoch: Epoch whose weights were kept, from 1.
         n_epochs: Epochs done.
-        stop_reason: "max_epochs" or "patience"; "fitted" for processes.
+        stop_reason: "max_epochs", "patience", or what `StopTraining` said; "fitted" for processes.
     """
 
     surrogate: Surrogate
@@ -70,7 +70,8 @@ def fit(
         output_scales: Makes validation errors of different units comparable (see `metrics.errors`).
             Shape (k,).
         drive: The model's inputs, for decoder "state-space".
-        on_epoch: Called after each validated epoch; what it raises ends the training and reaches the caller.
+        on_epoch: Called after each validated epoch; what it raises ends the training and reaches the caller,
+            but `StopTraining` of networks: these are returned with their best weights so far.
 
     Returns:
         The surrogate.

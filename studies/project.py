@@ -302,7 +302,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
             *(setting(one.params.get(name)) for name in names),
             *(MISSING if error is None else significant(error) for error in (one.mae, one.p90)),
             significant(one.baseline[f"{one.judged_by}/mae"]) if one.baseline else MISSING,
-            f"{3600.0 * one.n_trials / one.wall_s:.0f}" if one.wall_s else MISSING,
+            MISSING if one.trials_per_h is None else f"{one.trials_per_h:.0f}",
             MISSING if one.to_go_s is None else format_seconds(one.to_go_s) if one.to_go_s else "done",
         ]
         for one in tuned

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from pelsvae.epochs import StopTraining
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
 from simulation.foreign_text import shortened
@@ -68,10 +69,6 @@ class Compared:
     now: str
     is_equal: bool
     relative: float | None = None
-
-
-class _LastEpochError(Exception):
-    """A pruned trial was trained as far as it was then."""
 
 
 def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) -> tuple[str, list[Compared]]:
@@ -212,10 +209,10 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
             return
         seen[report.epoch] = report.validation_mae
         if is_pruned and report.epoch >= max(history, default=0):
-            raise _LastEpochError
+            raise StopTraining("as far as it was trained then")
 
     numbers: dict[str, float] = {}
-    with suppress(_LastEpochError):
+    with suppress(StopTraining):  # of processes, which are not judged before their end
         _, numbers = train(
             spec, config, made.seed, data, drive=drive, on_epoch=on_epoch, on_report=lambda *_: None
         )

@@ -1,5 +1,6 @@
 """The search space of a profile: which settings of the surrogate Optuna chooses, and from which values."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -8,6 +9,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from pelsvae.config import VARIANTS, SurrogateConfig
+from simulation.foreign_text import quoted
 
 if TYPE_CHECKING:
     from optuna import Trial
@@ -92,6 +94,14 @@ class SearchParameter:
         if self.step is not None:
             value = low + round((value - low) / self.step) * self.step
         return round(value) if self.kind == "int" else float(value)
+
+    def has(self, value: Any) -> bool:
+        """Whether a value of any kind is one of the search."""
+        if self.kind == "categorical":
+            return value in self.choices
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        # Steps are summed up in floating point.
+        return is_number and math.isclose(self.nearest(value), value, rel_tol=1e-9)
 
     @property
     def _bounds(self) -> tuple[float, float]:
@@ -181,11 +191,20 @@ def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[s
             if all(faults):
                 raise ValueError(f"search.{name}: {_fault(base, **{name: value})}")
     for place, settings in enumerate(enqueued):
-        for name, value in settings.items():
-            if name not in space:
-                raise ValueError(f"enqueue[{place}].{name} is not searched; add it to [tuning.search]")
-            if space[name].nearest(value) != value:
-                raise ValueError(f"enqueue[{place}].{name} = {value} is no value of search.{name}")
+        check_point(space, settings, f"enqueue[{place}].")
+
+
+def check_point(space: SearchSpace, settings: Mapping[str, Any], prefix: str = "") -> None:
+    """Check that settings are values of a search space. Optuna drops unknown names and takes values outside.
+
+    Raises:
+        ValueError: a name is not searched, or a value is none of the search; the name begins with `prefix`.
+    """
+    for name, value in settings.items():
+        if name not in space:
+            raise ValueError(f"{prefix}{quoted(name)} is not searched; add it to [tuning.search]")
+        if not space[name].has(value):
+            raise ValueError(f"{prefix}{name} = {quoted(value)} is no value of search.{name}")
 
 
 def _fault(form: SurrogateConfig, **settings: Any) -> str:

@@ -111,6 +111,7 @@ class TunedSize:
         n_proposed: Trials that the sampler proposed from results.
         wall_s: Training time of all trials together. [s]
         to_go_s: Training time of the trials to come, on one core; None before the first trial. [s]
+        trials_per_h: Trials per hour of training, without those added by hand; None before the first. [1/h]
         gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
         gain_deviation: Its standard deviation from seed to seed; None where it was not confirmed. [1]
         n_seeds: Further seeds of both, whose means the gain compares; 0 where it was not confirmed.
@@ -147,6 +148,7 @@ class TunedSize:
     gain: float | None
     gain_deviation: float | None = None
     n_seeds: int = 0
+    trials_per_h: float | None = None
     trial: int | None = None
     run_id: str | None = None
     model_uri: str | None = None

@@ -27,7 +27,7 @@ class TrialView:
         state: "complete", "pruned", "failed", "running" or "waiting".
         params: its hyperparameters.
         value: validation MAE; of a trial that is not complete the last one reported. [output's unit]
-        metrics: errors by name; empty unless the trial is complete. [output's unit]
+        metrics: errors by name, see `errors_of`. [output's unit]
         run_id: MLflow's run, empty without one.
         proposed_by: "default", "profile", "start-up" or the sampler's name.
         wall_s: duration of the training. [s]
@@ -199,6 +199,13 @@ class TunedStudy:
         return sum(trial.wall_s for trial in self.proposals)
 
     @property
+    def trials_per_h(self) -> float | None:
+        """Trials trained here per hour of training; None before the first one. [1/h]."""
+        # What a person added through Optuna took no time here.
+        ours = [trial for trial in self.trials if trial.run_id and trial.wall_s > 0.0]
+        return 3600.0 * len(ours) / sum(trial.wall_s for trial in ours) if ours else None
+
+    @property
     def to_go_s(self) -> float | None:
         """Training time of the trials to come, on one core; None before the first trial. [s]."""
         # Pruned trials count with their short times, as most of those to come are pruned as well.
@@ -235,6 +242,7 @@ class TunedStudy:
             n_trials=self.n_ended,
             n_proposed=self.n_proposed,
             wall_s=self.wall_s,
+            trials_per_h=self.trials_per_h,
             to_go_s=self.to_go_s,
             gain=self.gain,
             gain_deviation=self.gain_deviation,
@@ -286,7 +294,10 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
 
 
 def errors_of(state: str, value: float | None, attrs: Mapping[str, Any]) -> dict[str, float]:
-    """Return a trial's errors by name, as `val/mae` and `test/p90`; none unless it is complete.
+    """Return a trial's errors by name, as `val/mae` and `test/p90`; none unless it is complete or pruned.
+
+    A pruned trial has no `val/mae`, so that the least one is a complete trial's; the others are those of its
+    best epoch.
 
     With cross-validation they are `cv/mae` and `cv/p90`.
 
@@ -295,8 +306,8 @@ def errors_of(state: str, value: float | None, attrs: Mapping[str, Any]) -> dict
         value: its value, the MAE that chooses. [output's unit]
         attrs: attributes that its worker gave it.
     """
-    if state != "complete" or value is None:
+    if state not in ("complete", "pruned") or value is None:
         return {}
     errors = {name: float(v) for name, v in attrs.items() if name.startswith(_ERRORS)}
     chosen_by = CROSS_VALIDATED if f"{CROSS_VALIDATED}/p90" in errors else "val"
-    return {f"{chosen_by}/mae": float(value), **errors}
+    return {f"{chosen_by}/mae": float(value), **errors} if state == "complete" else errors

@@ -47,7 +47,8 @@ def log_calibration(task: Task, outcome: Outcome[Calibration]) -> None:
             "mse/screened": screened.mse,
             "mse/screening_gap": screened.gap,
             "calls/polish": found.ledger["n_polish"],
-            **screened.errors,
+            # Not under the names of a trial's own: who looks for the least error looks for trials.
+            **{f"surrogate/{name}": error for name, error in screened.errors.items()},
         }
     curve = zip(found.history_calls.tolist(), found.history_mse.tolist(), strict=True)
     _log(

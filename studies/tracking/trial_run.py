@@ -18,7 +18,7 @@ from studies.tracking.runs import CURVE, RunStore
 from studies.tracking.study_tags import PARENT
 
 N_POINTS = 100
-"""Of the loss and of each of its terms; the validation error is written at every epoch."""
+"""Most of the loss and of each of its terms; the validation error is written at every validated epoch."""
 FLUSH_S = 2.0
 """Points of curves are written this often: each call costs as much as many points."""
 
@@ -50,6 +50,7 @@ class TrialRun:
         self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
         self._runs = runs
         self._points: list[entities.Metric] = []
+        self._next_terms = 1
         self._flushed_s = time.monotonic()
         runs.log(self.id, params={"n_train": spec.n_train, **params})
         runs.log_record(self.id, record)
@@ -58,7 +59,9 @@ class TrialRun:
         """Write the learning curves, some points at a time."""
         now = round(1000.0 * time.time())
         seen = {"validation_mae": report.validation_mae}
-        if report.epoch % math.ceil(report.max_epochs / N_POINTS) == 0:
+        # Validated epochs may be rarer: a multiple of both numbers would be rarer still.
+        if report.epoch >= self._next_terms:
+            self._next_terms = report.epoch + math.ceil(report.max_epochs / N_POINTS)
             seen |= {"loss": report.train_loss, **report.terms}
         finite = {name: value for name, value in seen.items() if math.isfinite(value)}
         self._points += [entities.Metric(f"{CURVE}{k}", v, now, report.epoch) for k, v in finite.items()]

@@ -53,8 +53,12 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     # The declared name has a digest of what decides; a device or a limit may still have changed.
     if study.user_attrs.get(DECLARATION) != spec.to_dict():
         study.set_user_attr(DECLARATION, spec.to_dict())
-    if study.user_attrs.get(PLANNED, 0) < n_trials:
+    # The latest command decides, also with fewer trials than an interrupted one wanted.
+    if study.user_attrs.get(PLANNED) != n_trials:
         study.set_user_attr(PLANNED, n_trials)
+    with experimental():
+        if study.metric_names is None:
+            study.set_metric_names([f"{spec.chosen_by}/mae"])  # as in MLflow
     for place, params in enumerate(spec.first_points):
         if not study.get_trials(deepcopy=False) or place:
             origin = "default" if place == 0 else "profile"
@@ -124,6 +128,11 @@ def first_number(trial: FrozenTrial) -> int:
     with experimental():
         first = RetryHeartbeatStaleTrialCallback.retried_trial_number(trial)
     return trial.number if first is None else first
+
+
+def enqueued(trial: FrozenTrial) -> dict[str, Any]:
+    """Return the hyperparameters that a trial was enqueued with, under the name that Optuna gives them."""
+    return dict(trial.system_attrs.get("fixed_params", {}))
 
 
 def place_of(trial: FrozenTrial, trials: Sequence[FrozenTrial]) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pelsvae.config import SurrogateConfig
-from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.epochs import EpochReport, StopTraining, TrainingDiverged
 from pelsvae.linear_network.drive import Drive
 from pelsvae.metrics import errors
 from pelsvae.training import FitResult, fit
@@ -164,6 +164,8 @@ def _cross_validated(
 
         # The held-out rows choose no epoch: what they judge has not seen them.
         fitted = _fit(spec, config, seed, (theta[others], y[others]), None, drive, report)
+        if fitted.n_epochs < config.max_epochs:
+            raise StopTraining(fitted.stop_reason)
         predicted[held] = fitted.surrogate.predict(theta[held])
         done, before = fold <= number, before + config.max_epochs
         judged = errors_by_name(CROSS_VALIDATED, predicted[done], y[done], spec)

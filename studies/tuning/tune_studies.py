@@ -50,7 +50,6 @@ class _Part:
     spec: Declaration
     study: optuna.Study
     run_id: str
-    n_planned: int
     storage: RDBStorage
     paths: ProjectPaths
     runs: RunStore
@@ -62,7 +61,8 @@ class _Part:
 
     @property
     def is_unfinished(self) -> bool:
-        return attempts.is_unfinished(self.trials, self.n_planned)
+        """Whether a worker would find a trial to begin; how many are planned the latest command decides."""
+        return attempts.is_unfinished(self.trials, int(self.study.user_attrs.get(attempts.PLANNED, 0)))
 
     def give_back(self) -> None:
         """Let the trials of dead workers be run again, and end the runs that they left open."""
@@ -136,7 +136,7 @@ def _opened(
     for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
         if value and study.user_attrs.get(name) != value:
             study.set_user_attr(name, value)
-    part = _Part(spec, study, run_id, n_planned, storage, paths, runs, provenance)
+    part = _Part(spec, study, run_id, storage, paths, runs, provenance)
     part.give_back()
     return part
 

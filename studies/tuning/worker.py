@@ -19,12 +19,12 @@ from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.device import resolve_device
-from pelsvae.epochs import EpochReport
+from pelsvae.epochs import EpochReport, StopTraining
 from pelsvae.surrogate_files import save_surrogate
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, find_project
 from studies.results.provenance import file_digest
-from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
+from studies.search_space import OF_NETWORKS, OF_PCA_GP, check_point, suggested
 from studies.tracking.origin import environment
 from studies.tracking.runs import SURROGATE, RunStore
 from studies.tracking.sending import begin_sending, runs_sent
@@ -120,6 +120,7 @@ class Worker:
         if trial.relative_params and attempts.PROPOSED_BY not in trial.user_attrs:
             trial.set_user_attr(attempts.PROPOSED_BY, spec.sampler["name"])
         try:
+            check_point(spec.space, attempts.enqueued(trials[trial.number]))
             params = suggested(trial, spec.space, spec.base_config)
             config = spec.config(params)
         except (TypeError, ValueError) as error:
@@ -138,7 +139,7 @@ class Worker:
         trial.set_user_attr(attempts.RUN_ID, run.id)
         trial.set_user_attr(attempts.SEED, seed)
         began = time.perf_counter()
-        epoch = 0
+        epoch, stopped = 0, ""
 
         def on_epoch(report: EpochReport) -> None:
             nonlocal epoch
@@ -156,8 +157,9 @@ class Worker:
                 stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
 
         def stop(reason: str) -> None:
-            note(reason)
-            raise optuna.TrialPruned(reason)
+            nonlocal stopped
+            stopped = reason
+            raise StopTraining(reason)
 
         def note(reason: str, **more: Any) -> None:
             # Before the reason: whoever reads that a trial ended finds its curve complete.
@@ -174,7 +176,10 @@ class Worker:
             is_kept = self._n_better(value) < n_kept or spec.is_confirmation
             if fitted is None and is_kept:
                 fitted = train_on_all(*given, drive=self._drive, on_epoch=on_epoch)
-        except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
+        except StopTraining:  # of processes and folds, which are not judged before their end
+            note(stopped)
+            raise optuna.TrialPruned(stopped) from None
+        except (OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
         except Exception as error:
             # Whatever else a configuration provokes (divergence, memory) is its result.
@@ -186,13 +191,16 @@ class Worker:
         if fitted is None:
             note("cross-validated", best_epoch=config.max_epochs)
             return value
+        epoch = fitted.n_epochs
+        if stopped:
+            note(stopped, best_epoch=fitted.best_epoch)
+            raise optuna.TrialPruned(stopped)
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
             save_surrogate(fitted.surrogate, folder)
             weights = file_digest(folder / "weights.npz")
             if is_kept:
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
-        epoch = fitted.n_epochs
         note(fitted.stop_reason, best_epoch=fitted.best_epoch, weights_sha256=weights)
         return value
 

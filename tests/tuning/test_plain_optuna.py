@@ -61,16 +61,46 @@ def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: Project
     assert not [run for run in runs_of(copied, spec.label) if run.info.status == "RUNNING"]
 
 
-def test_an_enqueued_value_of_no_kind_fails_its_trial_and_no_other(copied: ProjectPaths) -> None:
+GOOD = {"n_latent": 5, "n_hidden": 17, "beta": 77.0}
+
+
+def test_an_enqueued_mistake_fails_its_trial_with_a_reason_and_no_other(copied: ProjectPaths) -> None:
+    mistakes = {
+        "beta = 'ten' is no value of search.beta": {**GOOD, "beta": "ten"},
+        "n_latent = 5.5 is no value of search.n_latent": {**GOOD, "n_latent": 5.5},
+        "n_hidden = 4000 is no value of search.n_hidden": {**GOOD, "n_hidden": 4000},
+        "beta = None is no value of search.beta": {**GOOD, "beta": None},
+        "'n_latnt' is not searched; add it to [tuning.search]": {"n_latnt": 5},
+    }
     spec = tuned_study(16)
     study = plain_study(copied, spec.name)
-    study.enqueue_trial({"n_latent": 5, "n_hidden": 17, "beta": "ten"})
-    tune([spec], paths=copied, n_trials=N_TUNED + 2, n_jobs=1, until_s=0.0)
+    for params in mistakes.values():
+        study.enqueue_trial(params)
+    n_trials = N_TUNED + len(mistakes) + 1
+    tune([spec], paths=copied, n_trials=n_trials, n_jobs=1, until_s=0.0)
     Worker(copied, spec.name).run()
-    refused, other = study.get_trials()[N_TUNED:]
-    assert refused.state == TrialState.FAIL
-    assert refused.user_attrs["reason"].startswith("its enqueued values are refused: 'ten'")
+    *refused, other = study.get_trials()[N_TUNED:]
+    assert [one.state for one in refused] == [TrialState.FAIL] * len(mistakes)
+    said = [one.user_attrs["reason"] for one in refused]
+    assert said == [f"its enqueued values are refused: {one}" for one in mistakes]
     assert other.state in (TrialState.COMPLETE, TrialState.PRUNED)
+    # Later commands have nothing to do, and read what is there.
+    (found,) = tune([spec], paths=copied, n_trials=n_trials, n_jobs=1)
+    assert found.count("failed") == len(mistakes)
+    assert len(study.get_trials()) == n_trials
+    assert next(one.summary().n_failed for one in read_studies(copied)) == len(mistakes)
+
+
+def test_added_trials_do_not_count_for_the_rate_of_trials(copied: ProjectPaths) -> None:
+    spec = tuned_study(16)
+    study = plain_study(copied, spec.name)
+    before = next(one for one in read_studies(copied) if one.spec.name == spec.name)
+    distributions = study.best_trial.distributions
+    study.add_trials([create_trial(params=GOOD, distributions=distributions, value=1.0) for _ in range(50)])
+    after = next(one for one in read_studies(copied) if one.spec.name == spec.name)
+    assert after.n_ended == before.n_ended + 50
+    assert after.trials_per_h == before.trials_per_h == before.summary().trials_per_h
+    assert before.trials_per_h == pytest.approx(3600.0 * N_TUNED / before.wall_s)
 
 
 @pytest.mark.parametrize("n_train", [16, 24])

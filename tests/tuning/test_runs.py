@@ -1,5 +1,6 @@
 """Trials as MLflow shows them, to its own clients: runs, the best per size, models, a moved project."""
 
+import json
 import os
 import shutil
 import sys
@@ -19,6 +20,7 @@ from toy_study_for_tests import (
     SPECS,
     plain_study,
     runs_of,
+    toy_study,
     tuned_study,
 )
 
@@ -65,14 +67,48 @@ def test_a_complete_trial_has_its_run(tuned: ProjectPaths) -> None:
     assert {one.path for one in client.list_artifacts(run.info.run_id)} >= {"provenance.json", "surrogate"}
 
 
-def test_a_pruned_trial_has_curves_and_no_errors(tuned: ProjectPaths) -> None:
+def test_a_pruned_trial_has_the_errors_of_its_best_epoch_and_wins_no_search(tuned: ProjectPaths) -> None:
     pruned = runs_of(tuned, LABEL, pruned="True")
     assert pruned
     for run in pruned:
         assert run.info.status == "FINISHED"
         assert run.data.tags["reason"].startswith("pruned by MedianPruner at epoch ")
-        assert not [name for name in run.data.metrics if name.startswith(("val/", "test/"))]
+        errors = {name for name in run.data.metrics if name.startswith(("val/", "test/"))}
+        assert errors == {"val/p90", "test/mae", "test/p90"}
         assert "curve/validation_mae" in run.data.metrics
+
+
+def test_the_least_error_of_each_size_is_found_in_one_call_and_is_the_champion_s(tuned: ProjectPaths) -> None:
+    mlflow.set_tracking_uri(tuned.tracking_uri)
+    found = mlflow.search_runs(experiment_names=[LABEL], filter_string="tags.role = 'trial'")
+    assert isinstance(found, pd.DataFrame)
+    least = found.loc[found.groupby("params.n_train")["metrics.val/mae"].idxmin()]
+    for _, row in least.iterrows():
+        name = f"{LABEL}-n{int(row['params.n_train']):04d}"
+        version = connect(tuned.tracking_uri).get_model_version_by_alias(name, "champion")
+        assert row["run_id"] == version.run_id
+        assert version.tags["n_latent"] == row["params.n_latent"]
+        assert f"n_latent {row['params.n_latent']}" in (version.description or "")
+        assert "metrics.gain" in row
+
+
+def test_loss_and_its_terms_are_written_at_every_validated_epoch(tuned: ProjectPaths) -> None:
+    client = connect(tuned.tracking_uri)
+    for run in runs_of(tuned, LABEL, role="trial"):
+        terms = [name for name in run.data.metrics if name.startswith("curve/")]
+        assert {"curve/loss", "curve/kl"} <= set(terms)
+        n_points = {len(client.get_metric_history(run.info.run_id, name)) for name in terms}
+        assert len(n_points) == 1, n_points
+
+
+def test_rarely_validated_epochs_leave_all_their_terms(project: ProjectPaths) -> None:
+    rare = toy_study(16).settings | {"max_epochs": 130, "patience": 130, "validate_every": 5}
+    spec = toy_study(16, settings=rare)
+    tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)
+    Worker(project, spec.name).run()
+    (run,) = runs_of(project, LABEL, role="trial")
+    points = connect(project.tracking_uri).get_metric_history(run.info.run_id, "curve/kl")
+    assert [point.step for point in points] == list(range(5, 131, 5))
 
 
 def test_the_run_of_a_study_says_what_it_came_to(tuned: ProjectPaths) -> None:
@@ -82,6 +118,39 @@ def test_the_run_of_a_study_says_what_it_came_to(tuned: ProjectPaths) -> None:
     assert run.data.metrics["best/val/mae"] == plain_study(tuned, spec.name).best_value
     assert {"best/n_latent", "best/n_hidden", "best/beta", "best/test/p90"} <= set(run.data.metrics)
     assert run.data.metrics["n_complete"] + run.data.metrics["n_pruned"] == N_TUNED
+    note = run.data.tags["mlflow.note.content"]
+    assert note.startswith(f"Best trial {run.data.tags['best_trial']}: test MAE ")
+    assert note.endswith("\n\nA toy.")
+    client = connect(tuned.tracking_uri)
+    (picture,) = client.list_artifacts(run.info.run_id, "figures")
+    assert picture.path == "figures/trials.svg"
+
+
+def test_what_a_person_writes_into_a_note_stays(copied: ProjectPaths) -> None:
+    client, spec = connect(copied.tracking_uri), tuned_study(16)
+    experiment = client.get_experiment_by_name(LABEL)
+    assert experiment is not None
+    name, note = "mlflow.note.content", experiment.tags["mlflow.note.content"]
+    assert note.startswith("Best per n_train (")
+    client.set_experiment_tag(experiment.experiment_id, name, f"{note}\n\nAsk Ada about n = 24.")
+    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1)
+    assert client.get_experiment(experiment.experiment_id).tags[name] == f"{note}\n\nAsk Ada about n = 24."
+    client.set_experiment_tag(experiment.experiment_id, name, "Mine alone.")
+    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1)
+    ours, mine = client.get_experiment(experiment.experiment_id).tags[name].split("\n\n")
+    assert (ours, mine) == (note.split("\n\n")[0], "Mine alone.")
+
+
+def test_the_views_of_an_experiment_show_what_its_studies_search(tuned: ProjectPaths) -> None:
+    experiment = connect(tuned.tracking_uri).get_experiment_by_name(LABEL)
+    assert experiment is not None
+    table, charts = (
+        json.loads(experiment.tags[f"mlflow.sharedViewState.{name}"]) for name in ("leaderboard", "charts")
+    )
+    assert {"metrics.`test/mae`", "params.`beta`", "metrics.`gain`"} <= set(table["selectedColumns"])
+    assert table["searchFilter"] == "tags.best = 'yes'"
+    scatters = [one["xaxis"]["key"] for one in charts["compareRunCharts"] if one["type"] == "SCATTER"]
+    assert scatters == ["n_train", "n_train", "n_latent", "n_hidden", "beta"]
 
 
 def test_the_best_of_each_size_is_found_in_one_call_also_after_more_trials(copied: ProjectPaths) -> None:

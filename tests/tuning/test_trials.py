@@ -80,6 +80,17 @@ def test_more_trials_extend_a_study_as_if_it_had_been_asked_for_them_at_once(
     assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))
 
 
+def test_fewer_trials_than_an_interrupted_study_wanted_end_there(project: ProjectPaths) -> None:
+    spec = toy_study(16)
+    prepared(project, spec, 6)
+    prepared(project, spec, 2).run()
+    (found,) = tune([spec], paths=project, n_trials=2, n_jobs=1)
+    assert [trial.state for trial in found.trials] == ["complete"] * 2
+    assert plain_study(project, spec.name).metric_names == ["val/mae"]
+    prepared(project, spec, 3).run()
+    assert len(plain_study(project, spec.name).trials) == 3
+
+
 def test_a_finished_study_is_left_as_it_is(copied: ProjectPaths) -> None:
     before = {spec.name: plain_study(copied, spec.name).get_trials() for spec in SPECS}
     asked: list[Sequence[Any]] = []
