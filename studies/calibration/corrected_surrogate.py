@@ -61,7 +61,7 @@ class CorrectedSurrogate(Guide):
         best = int(np.argmin(self._objective))
         own, predicted = self._own - self._own[best], self._predicted - self._predicted[best]
         # n rows differ in n directions at most.
-        triangle = np.asarray(np.linalg.qr((own - self.share * predicted).T, mode="r"))
+        _, triangle = np.linalg.qr((own - self.share * predicted).T)
         # As in the processes of a search: of a row far from the measurement little has to be known.
         squares = np.square(self._own).sum(axis=1)
         looseness = np.maximum((squares / squares.mean()) ** NOISE_POWER, LEAST_LOOSENESS)
