@@ -369,7 +369,7 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
         spec.model_name,
         source=place,
         run_id=best.run_id,
-        tags={name: str(value) for name, value in (best.params | best.metrics).items()},
+        tags={name: str(value) for name, value in {**best.params, **best.metrics}.items()},
         description=without_pictures(said),
     )
     return int(registered.version)
