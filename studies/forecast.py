@@ -10,6 +10,7 @@ from studies.opening import sizes
 from studies.physical_model import store_file
 from studies.simulation_time import Timed, known_time, shown_time
 from studies.stages.adaptive_stage import MAX_CALLS
+from studies.stages.learn import require_tuning
 from studies.stages.simulate_stage import missing_rows
 from studies.stages.tuned_trials import tuned_by_size
 from studies.task import Task
@@ -37,7 +38,12 @@ def foretell(task: Task, command: str, given: Mapping[str, Any]) -> None:
         task: the task.
         command: "run", "tune" or "calibrate".
         given: its options.
+
+    Raises:
+        InputError: a sampler, a pruner or a device does not exist, or a simulation fails.
     """
+    if command != "calibrate":
+        require_tuning(task)
     timed = time_simulations(task)
     # A search asks one after the other, each in a process of its own; sets share processes.
     is_search = command == "calibrate"

@@ -114,9 +114,10 @@ class TuningBudget:
         n_parallel: trials of one size that run side by side. With 1 the same command gives the same trials;
             with more, what the sampler knows when it proposes depends on which trial ends first.
         max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
-        sampler: a sampler of `optuna.samplers` by its name, with its arguments.
-        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.sampler`), by its name,
+        sampler: a sampler of `optuna.samplers` by its name, or one of an installed package as "module:Class",
             with its arguments.
+        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.sampler`), by its name,
+            or one of an installed package as "module:Class", with its arguments.
         enqueue: configurations that are tried right after the surrogate's own.
         confirm: further seeds for the best configurations and the default one; None for none. The
             configuration of least mean error is chosen then.

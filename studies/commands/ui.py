@@ -1,8 +1,9 @@
 """Open MLflow's user interface on this project's runs.
 
 What happens: the command starts the server of MLflow on the runs of this project. The server accepts
-connections from this machine only, at 127.0.0.1 and not at ::1. The command prints three addresses: all
-runs, the best trial per training-set size, and the registered models. Running trials show their curves.
+connections from this machine only, at 127.0.0.1 and not at ::1. The command prints four addresses: the
+leaderboard (the best trial per training-set size), charts of every trial, all runs, and the registered
+models. Running trials show their curves.
 Ctrl-C stops the server.
 From another machine use a tunnel: ssh -L 5000:127.0.0.1:5000 HOST.
 

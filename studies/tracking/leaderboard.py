@@ -94,7 +94,7 @@ def views_of(searched: Sequence[str], judged_by: str = "test") -> dict[str, str]
 
 def _view(rows: str, columns: Mapping[str, int], charts: Sequence[_Chart]) -> dict[str, Any]:
     section = {"uuid": "trials", "name": "Trials", "display": True, "isReordered": True}
-    section |= {"isGenerated": False, "columns": 3, "cardHeight": 300}
+    section |= {"isGenerated": False, "columns": 3}
     return {
         "searchFilter": rows,
         "orderByKey": _param("n_train"),

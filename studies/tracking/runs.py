@@ -341,9 +341,11 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
         from mlflow.models import Model, ModelSignature
         from mlflow.pyfunc import save_model
         from mlflow.types import ColSpec, Schema, TensorSpec
+        from mlflow.types.schema import AnyType
 
         middle = [0.5 * (low + high) for low, high in zip(spec.lower, spec.upper, strict=True)]
-        inputs: list[ColSpec | TensorSpec] = [ColSpec("double", name) for name in spec.parameter_names]
+        # As "double" MLflow refuses whole numbers, before the surrogate could take them.
+        inputs: list[ColSpec | TensorSpec] = [ColSpec(AnyType(), name) for name in spec.parameter_names]
         outputs = Schema([TensorSpec(np.dtype(np.float64), (-1, -1, len(spec.output_names)))])
         weights = runs.fetch(best.run_id, SURROGATE, Path(scratch))
         needed = [f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")]

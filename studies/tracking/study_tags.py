@@ -16,7 +16,7 @@ def with_line(note: str, lead: str, line: str, usual: str) -> str:
         note: as it is.
         lead: words that our line begins with; the one of before is known by them.
         line: what follows them; "" where there is nothing to say.
-        usual: what stands below the line in a note that nobody wrote anything into.
+        usual: what stands below the line in a note that is still empty.
     """
     kept = [part for part in (note or usual).split("\n\n") if part and not part.startswith(lead)]
     return without_pictures("\n\n".join([*([f"{lead}{line}"] if line else []), *kept]))

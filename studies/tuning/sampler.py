@@ -1,6 +1,10 @@
 """Optuna's samplers and pruners by name, and the seeds that make a study repeatable."""
 
+import sysconfig
 from collections.abc import Mapping
+from importlib import import_module
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from inspect import signature
 from typing import Any, TypeVar
 
@@ -10,17 +14,20 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
+from simulation.foreign_text import quoted
 from studies.results.declaration import Declaration
 from studies.tuning.attempts import experimental
 
 _Made = TypeVar("_Made")
+_NEEDS = {"CmaEsSampler": "cmaes"}
+"""Packages that Optuna imports only when it proposes, long after the simulations were paid for."""
 # Each trial has a sampler of its own: with a seed per trial they would mix several sequences.
 _ONE_SEQUENCE = ("QMCSampler", "GridSampler", "BruteForceSampler")
 """Samplers that go through one sequence: each trial takes the same seed, not one of its own."""
 
 
 def make_sampler(declared: Mapping[str, Any], seed: int) -> BaseSampler:
-    """Make a sampler of `optuna.samplers` from its name and arguments.
+    """Make a sampler of `optuna.samplers`, or an installed `module:Class`, from its name and arguments.
 
     Raises:
         InputError: there is no such sampler, or it refuses the arguments.
@@ -29,7 +36,7 @@ def make_sampler(declared: Mapping[str, Any], seed: int) -> BaseSampler:
 
 
 def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
-    """Make a pruner of `optuna.pruners`, or ours, from its name and arguments.
+    """Make a pruner of `optuna.pruners`, ours, or an installed `module:Class`, from its name and arguments.
 
     Raises:
         InputError: there is no such pruner, or it refuses the arguments.
@@ -41,10 +48,15 @@ def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
 def _made(
     kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base: type[_Made], **more: Any
 ) -> _Made:
-    name, arguments = declared.get("name"), {k: v for k, v in declared.items() if k != "name"}
+    name, arguments = str(declared.get("name")), {k: v for k, v in declared.items() if k != "name"}
     offered = {n: v for n, v in known.items() if isinstance(v, type) and issubclass(v, base) and v != base}
-    if (found := offered.get(str(name))) is None:
-        raise InputError(f"tuning.{kind}: Optuna has no {kind} {name!r}; it has {', '.join(sorted(offered))}")
+    found = _installed(kind, name, base) if ":" in name else offered.get(name)
+    if found is None:
+        others = f"or a class of an installed package, as package.module:{kind.title()}"
+        has = f"it has {', '.join(sorted(offered))}; {others}"
+        raise InputError(f"tuning.{kind}: Optuna has no {kind} {quoted(name)}; {has}")
+    if (needed := _NEEDS.get(name)) is not None and find_spec(needed) is None:
+        raise InputError(f"tuning.{kind}: {name} needs the package {needed}; type: pip install {needed}")
     arguments = {
         # Some take another one as an argument, as PatientPruner does.
         key: _made(kind, value, known, base, **more) if isinstance(value, dict) and "name" in value else value
@@ -57,6 +69,30 @@ def _made(
             return found(**(takes | arguments))
     except (TypeError, ValueError) as error:
         raise InputError(f"tuning.{kind}: {name} refuses its arguments: {error}") from None
+    except ImportError as error:
+        raise InputError(f"tuning.{kind}: {name} needs a package that is not installed: {error}") from None
+
+
+def _installed(kind: str, name: str, base: type[_Made]) -> type[_Made]:
+    """Return a class of an installed package by `module:Class`.
+
+    A profile may be a stranger's: what lies in its folder, or in the working folder, is not imported.
+    """
+    module, _, class_name = name.partition(":")
+    package, remedy = module.partition(".")[0], "name a class of an installed package, as module:Class"
+    if not all(part.isidentifier() for part in (*module.split("."), class_name)):
+        raise InputError(f"tuning.{kind}: {quoted(name)} is no module:Class; {remedy}")
+    places = [sysconfig.get_path(one) for one in ("purelib", "platlib")]
+    there, taken = PathFinder.find_spec(package, places), find_spec(package)
+    if there is None or taken is None or there.origin is None or there.origin != taken.origin:
+        raise InputError(f"tuning.{kind}: no package {package!r} is installed; type: pip install {package}")
+    try:
+        found = getattr(import_module(module), class_name, None)
+    except ImportError as error:
+        raise InputError(f"tuning.{kind}: {module} cannot be imported: {error}") from None
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise InputError(f"tuning.{kind}: {quoted(name)} is no {kind} of Optuna; {remedy}")
+    return found
 
 
 def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:

@@ -7,6 +7,7 @@ import sys
 import time
 import warnings
 from pathlib import Path
+from typing import Any
 
 import mlflow
 import numpy as np
@@ -197,6 +198,22 @@ def test_the_best_model_of_a_size_is_loaded_by_mlflow_alone(tuned: ProjectPaths,
     assert best is not None
     same = load_surrogate(RunStore(tuned), best.run_id).predict(THETA.to_numpy())
     np.testing.assert_array_equal(predicted, same)
+
+
+def test_the_registered_model_takes_whole_numbers_any_order_and_a_dict(tuned: ProjectPaths) -> None:
+    mlflow.set_tracking_uri(tuned.tracking_uri)
+    model = mlflow.pyfunc.load_model(tuned_study(16).model_uri)
+    expected = model.predict(THETA)
+    whole = THETA.astype(int)
+    same: list[Any] = [whole, whole[["C", "R"]], whole.to_dict("list"), THETA.to_dict("list")]
+    for given in same:
+        np.testing.assert_array_equal(model.predict(given), expected)
+    # Of one row single precision adds up in another order than of three.
+    np.testing.assert_array_equal(model.predict({"C": 10_000, "R": 1}), model.predict(THETA[:1]))
+    with pytest.raises(MlflowException, match="enforce schema"):
+        model.predict(THETA[["R"]])
+    with pytest.raises(ValueError, match="cold"):
+        model.predict({"R": ["cold"], "C": [1e4]})
 
 
 def test_a_moved_project_has_its_runs_and_models(copied: ProjectPaths, tmp_path: Path) -> None:

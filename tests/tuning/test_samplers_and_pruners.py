@@ -1,6 +1,8 @@
 """Samplers and pruners by their names and arguments, and what the catch-up pruner stops."""
 
 from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import optuna
@@ -32,11 +34,35 @@ def test_a_study_runs_with_another_sampler(project: ProjectPaths) -> None:
     [
         ({"name": "BestSampler"}, r"no sampler 'BestSampler'; it has .*GPSampler.*TPESampler"),
         ({"name": "TPESampler", "n_startups": 3}, r"TPESampler refuses its arguments: .*n_startups"),
+        ({"name": "mine:Sampler"}, r"no package 'mine' is installed; type: pip install mine"),
+        ({"name": "os:system"}, r"no package 'os' is installed"),
+        ({"name": "optuna.samplers:nothing"}, r"'optuna.samplers:nothing' is no sampler of Optuna"),
+        ({"name": "optuna.pruners:NopPruner"}, r"'optuna.pruners:NopPruner' is no sampler of Optuna"),
+        ({"name": "optuna.no_such:Sampler"}, r"optuna.no_such cannot be imported"),
+        ({"name": ".:Sampler"}, r"'.:Sampler' is no module:Class"),
     ],
 )
 def test_a_wrong_sampler_is_refused(declared: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=rf"^tuning\.sampler: (Optuna has )?{message}"):
         make_sampler(declared, 0)
+
+
+def test_a_sampler_of_an_installed_package_is_taken_and_of_the_working_folder_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = make_sampler({"name": "optuna.samplers:RandomSampler"}, 0)
+    assert isinstance(found, optuna.samplers.RandomSampler)
+    (tmp_path / "of_a_stranger.py").write_text("raise SystemExit('it was run')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"^tuning\.sampler: no package 'of_a_stranger' is installed"):
+        make_sampler({"name": "of_a_stranger:Sampler"}, 0)
+
+
+@pytest.mark.skipif(find_spec("cmaes") is not None, reason="the optional part is there")
+def test_a_sampler_without_its_package_is_refused_before_it_proposes() -> None:
+    with pytest.raises(InputError, match=r"CmaEsSampler needs the package cmaes; type: pip install cmaes"):
+        make_sampler({"name": "CmaEsSampler"}, 0)
 
 
 @pytest.mark.parametrize(
