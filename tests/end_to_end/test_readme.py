@@ -198,12 +198,14 @@ def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
 def test_the_profile_in_the_pages_is_one(tmp_path: Path) -> None:
     from studies.profile import load_profile
 
-    (search, choices) = code_blocks(read(DOCS / "how-to" / "search-space.md"), "toml")
+    (search, fixed, choices) = code_blocks(read(DOCS / "how-to" / "search-space.md"), "toml")
     file = tmp_path / "my.toml"
-    text = f'name = "my"\n[data]\nn_train = [32]\n[tuning]\nn_trials = 20\n{choices}{search}'
+    text = f'name = "my"\n[data]\nn_train = [32]\n[tuning]\nn_trials = 20\n{choices}{search}{fixed}'
     file.write_text(text, encoding="utf-8")
     profile = load_profile(str(file))
     assert [name for name, one in profile.tuning.space.items() if one.when]
+    assert profile.tuning.fixed
+    assert not set(profile.tuning.fixed) & set(profile.tuning.space)
 
     from studies.tuning.sampler import make_pruner, make_sampler
 
