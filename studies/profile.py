@@ -180,12 +180,12 @@ class PolishBudget:
         max_calls: simulations the polish may ask for.
         ftol: relative change of the cost that ends it.
         optimizer: one of `studies.calibration.optimizers` with its arguments, as `{ name = "SciPyMinimize",
-            method = "COBYQA" }`; a search that the surrogate guides unless another one is named.
+            method = "COBYQA" }`; a search that the surrogate leads unless another one is named.
     """
 
     max_calls: Count = 400
     ftol: Positive = 1e-4
-    optimizer: dict[str, Any] = Field(default_factory=lambda: {"name": "GuidedSearch"})
+    optimizer: dict[str, Any] = Field(default_factory=lambda: {"name": "SurrogateSearch"})
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ O'Hagan 2001 (doi 10.1111/1467-9868.00294), with the surrogate in the place of t
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.guide import Guide
+from studies.calibration.leader import Leader
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.processes.groups import NOISE_POWER
 from studies.calibration.processes.kernel import Belief, between, inverse_factor, kernel_matrix, most_probable
@@ -19,7 +19,7 @@ LEAST_SHARE = 0.5
 N_LOOKS, N_WALKS = 64, 3
 
 
-class CorrectedSurrogate(Guide):
+class CorrectedSurrogate(Leader):
     """A surrogate of a calibration problem, and what rows show of its error.
 
     Attributes:

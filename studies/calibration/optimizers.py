@@ -121,7 +121,7 @@ class DfoLs:
 
 
 @dataclass(frozen=True)
-class GuidedSearch:
+class SurrogateSearch:
     """The search of `studies calibrate`, led by the surrogate and by what simulations show of its error.
 
     It begins with the training rows, needs no differences, and ends by the rules of `studies calibrate`: once
@@ -168,7 +168,7 @@ class GuidedSearch:
 
 
 OPTIMIZERS: dict[str, Callable[..., Optimizer]] = {
-    "GuidedSearch": GuidedSearch,
+    "SurrogateSearch": SurrogateSearch,
     "LeastSquaresTRF": LeastSquaresTRF,
     "SciPyMinimize": SciPyMinimize,
     "DfoLs": DfoLs,

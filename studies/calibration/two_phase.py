@@ -10,7 +10,7 @@ from simulation.forward_model import ForwardModel
 from simulation.layout import Layout
 from simulation.measurement import Measurement
 from studies.calibration.ledger import Ledger
-from studies.calibration.optimizers import GuidedSearch, Optimizer
+from studies.calibration.optimizers import Optimizer, SurrogateSearch
 from studies.calibration.polish import PolishResult
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -88,7 +88,7 @@ def calibrate_two_phase(
     if n_checks > 1 and (most := getattr(polishing, "max_calls", None)) is not None:
         polishing = replace(polishing, max_calls=max(most - n_checks + 1, 1))  # type: ignore[type-var]
     how: dict[str, Any] = {"known": screened, "on_progress": on_progress}
-    if isinstance(polishing, GuidedSearch):
+    if isinstance(polishing, SurrogateSearch):
         how |= {"surrogate": problem, "seed": seed}
         how["known"] = screened if rows is None else rows.joined(screened)
     polish = polishing.minimize(physical_problem, screened.u[0], **how)

@@ -25,7 +25,7 @@ an FMU cannot be read.
 --n-train 64 uses the method of the paper with the surrogate of 64 simulations; --method paper uses it for
 all tuned sizes. Differential evolution searches the whole box on the surrogate. One FMU call checks the
 point that it finds; the difference of the errors is the screening gap. From there a search on the FMU
-polishes, which the surrogate guides. Results: calibrate-n<size>.json and .npz.
+polishes, which the surrogate leads. Results: calibrate-n<size>.json and .npz.
 
 Both methods use the priors of the parameters (case.toml: prior = { about = 0.7, within_factor = 1.5 }).
 

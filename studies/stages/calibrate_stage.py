@@ -12,7 +12,7 @@ from pelsvae.mean_surrogate import MeanSurrogate
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
-from studies.calibration.optimizers import GuidedSearch, Optimizer, optimizer_of
+from studies.calibration.optimizers import Optimizer, SurrogateSearch, optimizer_of
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.search.row_choice import best_and_far
@@ -36,7 +36,7 @@ from studies.task import Task
 from studies.tracking.runs import load_surrogate, run_store
 from studies.words.wording import count
 
-# Rows that a guided search begins with: processes of hundreds would think longer than they help.
+# Rows that a polish begins with: processes of hundreds would think longer than they help.
 chosen_rows = partial(best_and_far, n_best=80, n_far=20)
 PHASES = {
     "screen": "screen, surrogate evaluations",
@@ -107,7 +107,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
     }
     polisher(profile)  # a wrong name is said before hours of work
     name = profile.polish.optimizer["name"]
-    polish = {"LeastSquaresTRF": "LS-TRF", "GuidedSearch": "a search that it guides"}.get(name, name)
+    polish = {"LeastSquaresTRF": "LS-TRF", "SurrogateSearch": "a search that it leads"}.get(name, name)
     n = profile.polish.max_calls
     what = f"differential evolution on the surrogate, then {polish} on the FMU, "
     what += f"{count(n, 'simulation')} at most{duration(task, n)}"
@@ -161,13 +161,13 @@ def calibrate(
         surrogate: what the box is screened with.
         n_train: size of its training set.
         origin: of which trial it is, by the fields `SURROGATE_FIELDS` of `Screened`; None leaves it open.
-        start: which stored rows a search that the surrogate guides begins with; None for training rows.
+        start: which stored rows a search that the surrogate leads begins with; None for training rows.
     """
     case, profile = task.case, task.profile
     measurement, space = case.measurement, case.parameter_space
     with open_physical_model(task) as physical, task.console.bars() as bars:
         polishing, rows, known, n_read = polisher(profile), None, None, 0
-        if isinstance(polishing, GuidedSearch):
+        if isinstance(polishing, SurrogateSearch):
             problem = CalibrationProblem(physical, measurement, prior_of(case), case.layout)
             rows = (start or _of_training(task, n_train))(physical, problem, lambda found: -found.objective)
             known = rows.judged(physical, problem)

@@ -1,9 +1,9 @@
-"""What a polish costs that the surrogate guides, beside least squares from the same screened point.
+"""What a polish costs that the surrogate leads, beside least squares from the same screened point.
 
 Run `python tests/benchmarks/surrogate_polish.py [--problems NAME ...] [--sizes 16 32 64 128 512] [--seeds 5]
 [--kept FOLDER]`. For each problem, size and seed a surrogate of the first training rows is trained without a
-validation set, differential evolution screens the box on it, and both polish from there: `GuidedSearch`,
-which knows the training rows, and `LeastSquaresTRF` as the profile `quick` sets it. "GuidedSearch, rows
+validation set, differential evolution screens the box on it, and both polish from there: `SurrogateSearch`,
+which knows the training rows, and `LeastSquaresTRF` as the profile `quick` sets it. "SurrogateSearch, rows
 alone" knows the training rows without the surrogate. Calls are those of the polish, counted at the model.
 Errors are compared with the best that `data/benchmarks/fewest_calls.json` knows. In FOLDER surrogates and
 finished pairs are kept, so that an interrupted benchmark goes on. Prints a line per pair, then medians, and
@@ -35,7 +35,7 @@ from simulation.case import Case  # noqa: E402
 from simulation.design import uniform_design  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
 from studies.calibration.hidden_network.inputs import drive_of  # noqa: E402
-from studies.calibration.optimizers import GuidedSearch  # noqa: E402
+from studies.calibration.optimizers import SurrogateSearch  # noqa: E402
 from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.calibration.recorder import SearchResult  # noqa: E402
@@ -43,7 +43,7 @@ from studies.calibration.screen import DifferentialEvolution  # noqa: E402
 from studies.stages.simulate_stage import train_seed  # noqa: E402
 from studies.surrogate_model import SurrogateModel  # noqa: E402
 
-OURS, ALONE, LEAST_SQUARES = "GuidedSearch", "GuidedSearch, rows alone", "LeastSquaresTRF"
+OURS, ALONE, LEAST_SQUARES = "SurrogateSearch", "SurrogateSearch, rows alone", "LeastSquaresTRF"
 TIMES_BEST = 1.17, 1.02
 # Most calls of a polish: of least squares as in the profile `quick`.
 MOST, MOST_LEAST_SQUARES = 100, 300
@@ -84,11 +84,11 @@ def polished(case: Case, problem: CalibrationProblem, n: int, seed: int, folder:
     screened = DifferentialEvolution(popsize=8, maxiter=200, margin=0.2).minimize(cheap, seed=seed).u
     first = problem.evaluate(screened)
     known = problem.judge(space.to_unit(rows.theta), rows).joined(first)
-    guided = GuidedSearch(max_calls=MOST)
+    led = SurrogateSearch(max_calls=MOST)
     least = LeastSquaresTRF(max_calls=MOST_LEAST_SQUARES, ftol=1e-4)
     ways: dict[str, Callable[[], SearchResult]] = {
-        OURS: lambda: guided.minimize(problem, screened, known=known, surrogate=cheap, seed=seed),
-        ALONE: lambda: guided.minimize(problem, screened, known=known, seed=seed),
+        OURS: lambda: led.minimize(problem, screened, known=known, surrogate=cheap, seed=seed),
+        ALONE: lambda: led.minimize(problem, screened, known=known, seed=seed),
         LEAST_SQUARES: lambda: least.minimize(problem, screened, known=first),
     }
     pair: Pair = {"screened": float(first.mse[0])}

@@ -1,4 +1,4 @@
-"""A polish that a surrogate guides: what it saves, whose errors it finds out, and what it repeats."""
+"""A polish that a surrogate leaders: what it saves, whose errors it finds out, and what it repeats."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
 from studies.calibration.corrected_surrogate import LEAST_SHARE, CorrectedSurrogate
-from studies.calibration.optimizers import GuidedSearch
+from studies.calibration.optimizers import SurrogateSearch
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import SearchResult
@@ -41,11 +41,11 @@ def polish(problem: CalibrationProblem, surrogate: ForwardModel, *, max_calls: i
     cheap = problem.on(surrogate)
     screened = LeastSquaresTRF().minimize(cheap, np.array([0.5, 0.5])).u
     known = training_rows(problem).joined(problem.evaluate(screened))
-    settings = GuidedSearch(max_calls=max_calls)
+    settings = SurrogateSearch(max_calls=max_calls)
     return settings.minimize(problem, screened, known=known, surrogate=cheap, seed=1)
 
 
-def test_a_biased_surrogate_guides_the_search_to_the_optimum_of_the_model_in_fewer_calls() -> None:
+def test_a_biased_surrogate_leads_the_search_to_the_optimum_of_the_model_in_fewer_calls() -> None:
     problem = rc_problem(noise=0.05)
     diary = Diary(problem.model)
     found = polish(problem.on(diary), BIASED)
@@ -71,22 +71,22 @@ def test_it_converges_by_itself_and_repeats_itself() -> None:
 def test_a_surrogate_that_knows_its_training_rows_alone_is_left_once_others_show_it() -> None:
     problem = rc_problem(noise=0.05)
     training = training_rows(problem)
-    guide = CorrectedSurrogate(problem.on(Memorized(ToyRC(), training.theta)), seed=0)
-    guide.note(training)
-    assert guide.propose(1) is not None, "training rows say nothing against it"
-    guide.note(problem.evaluate(np.random.default_rng(6).random((4, 2))))
-    assert guide.propose(1) is None
-    assert guide.share < LEAST_SHARE
+    leader = CorrectedSurrogate(problem.on(Memorized(ToyRC(), training.theta)), seed=0)
+    leader.note(training)
+    assert leader.propose(1) is not None, "training rows say nothing against it"
+    leader.note(problem.evaluate(np.random.default_rng(6).random((4, 2))))
+    assert leader.propose(1) is None
+    assert leader.share < LEAST_SHARE
 
 
 def test_a_surrogate_that_is_right_at_new_rows_keeps_its_share() -> None:
     problem = rc_problem(noise=0.05)
-    guide = CorrectedSurrogate(problem.on(BIASED), seed=0)
-    guide.note(training_rows(problem))
-    assert guide.propose(1) is not None
-    guide.note(problem.evaluate(np.random.default_rng(6).random((4, 2))))
-    assert guide.propose(1) is not None
-    assert guide.share > 0.8
+    leader = CorrectedSurrogate(problem.on(BIASED), seed=0)
+    leader.note(training_rows(problem))
+    assert leader.propose(1) is not None
+    leader.note(problem.evaluate(np.random.default_rng(6).random((4, 2))))
+    assert leader.propose(1) is not None
+    assert leader.share > 0.8
 
 
 def test_rows_that_fail_cost_a_call_and_do_not_end_it() -> None:

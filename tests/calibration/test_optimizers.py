@@ -10,7 +10,7 @@ from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_
 from toy_rc import ToyRC
 
 from simulation.errors import InputError
-from studies.calibration.optimizers import GuidedSearch, SciPyMinimize, optimizer_of
+from studies.calibration.optimizers import SciPyMinimize, SurrogateSearch, optimizer_of
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
@@ -35,7 +35,7 @@ def _polish(settings: Any) -> Optimizer:
 OPTIMIZERS: dict[str, Optimizer] = {
     "differential evolution": _screen,
     "LS-TRF": _polish(LeastSquaresTRF(ftol=1e-12)),
-    "guided search": _polish(GuidedSearch()),
+    "surrogate search": _polish(SurrogateSearch()),
     "COBYQA": _polish(SciPyMinimize(tol=1e-10)),
     "L-BFGS-B": _polish(SciPyMinimize("L-BFGS-B", tol=1e-10)),
     "LS-TRF squared": _polish(LeastSquaresTRF(ftol=1e-14, xtol=1e-12, residuals="squared")),
@@ -142,7 +142,7 @@ def test_a_profile_names_the_optimizer_and_its_arguments() -> None:
     # What all polishes have counts as far as the optimizer has it.
     other = optimizer_of({"name": "SciPyMinimize", "method": "Powell"}, max_calls=7, ftol=1e-3)
     assert other == SciPyMinimize("Powell", max_calls=7)
-    with pytest.raises(InputError, match=r"^polish\.optimizer: name = 'Adam' is none of GuidedSearch, "):
+    with pytest.raises(InputError, match=r"^polish\.optimizer: name = 'Adam' is none of SurrogateSearch, "):
         optimizer_of({"name": "Adam"})
     with pytest.raises(InputError, match=r"^polish\.optimizer: SciPyMinimize has no argument 'metod'"):
         optimizer_of({"name": "SciPyMinimize", "metod": "Powell"})

@@ -8,9 +8,9 @@ import numpy as np
 from pelsvae.linear_network.drive import Drive
 from pelsvae.linear_network.form import SCALE
 from simulation.arrays import FloatArray, IntArray
-from studies.calibration.guide import Guide
 from studies.calibration.hidden_network.fit import Fit, first_guess, improved
 from studies.calibration.hidden_network.model import Network, NetworkForm
+from studies.calibration.leader import Leader
 from studies.calibration.problem import CalibrationProblem, Evaluation
 
 # Most steps of the first fit, in parts, and of each later one; shares of the outputs' standard deviation that
@@ -25,7 +25,7 @@ N_NETWORK_LOOKS, N_NETWORK_WALKS = 200, 16
 FAR_TIMES_BEST = 30.0
 
 
-class HiddenNetwork(Guide):
+class HiddenNetwork(Leader):
     """The hidden network of a calibration problem, as far as its rows show it."""
 
     NAME = "a network with hidden states"

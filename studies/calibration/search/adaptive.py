@@ -17,8 +17,8 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
 from studies.calibration.corrected_surrogate import CorrectedSurrogate
-from studies.calibration.guide import Guide
 from studies.calibration.hidden_network.search import HiddenNetwork
+from studies.calibration.leader import Leader
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.proposer import Proposer
 from studies.calibration.recorder import OnProgress, Recorder, SearchResult
@@ -128,10 +128,10 @@ class Adaptive(SearchSettings):
                 f"same problem: {shape[1]} parameters and {shape[0]} residuals"
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        guides: list[Guide] = [] if surrogate is None else [CorrectedSurrogate(surrogate, seed)]
-        guides += [] if network_inputs is None else [HiddenNetwork(network_inputs, problem, seed)]
+        leaders: list[Leader] = [] if surrogate is None else [CorrectedSurrogate(surrogate, seed)]
+        leaders += [] if network_inputs is None else [HiddenNetwork(network_inputs, problem, seed)]
         rng = np.random.default_rng(seed)
-        state = SearchState(self, recorder, rng, known, learned_ode, guides)
+        state = SearchState(self, recorder, rng, known, learned_ode, leaders)
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             # What overflows counts as failed, and is no news to who calibrates.

@@ -63,12 +63,12 @@ def next_move(state: SearchState) -> Move | Ending:
     go_on = moves.search_round if n_good > 1 or ode is None else partial(moves.ask_by_equations, ode=ode)
     if not n_good:
         return go_on
-    while state.guides:
-        state.recorder.think_of(state.guides[0].NAME)
-        points = state.guides[0].propose(state.settings.n_parallel)
+    while state.leaders:
+        state.recorder.think_of(state.leaders[0].NAME)
+        points = state.leaders[0].propose(state.settings.n_parallel)
         if points is not None:
             return partial(SearchState.ask, u=points)
-        del state.guides[0]
+        del state.leaders[0]
     moves.adapt_window(state)
     if state.fits_exactly:
         return moves.compare_beside if _needs_slopes(state) else ending.exact(state)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.guide import Guide
+from studies.calibration.leader import Leader
 from studies.calibration.problem import Evaluation
 from studies.calibration.proposer import Proposer
 from studies.calibration.recorder import Recorder
@@ -40,7 +40,7 @@ class SearchState:
         rng: np.random.Generator,
         known: Evaluation | None = None,
         learned_ode: Proposer | None = None,
-        guides: Sequence[Guide] = (),
+        leaders: Sequence[Leader] = (),
     ) -> None:
         """Begin with what is known.
 
@@ -50,14 +50,18 @@ class SearchState:
             rng: Source of the first design and all draws.
             known: Rows that were simulated before (warm start), None for none.
             learned_ode: Learns the model's state equations, None for none.
-            guides: Lead the search one after the other, before the processes do.
+            leaders: Lead the search one after the other, before the processes do.
         """
         problem = recorder.problem
         p = problem.space.n_parameters
         self.settings, self.recorder, self.rng = settings, recorder, rng
         self.phase, self.region = SearchPhase(), TrustRegion()
         self.confirmation = Confirmation(n_owed=RESTARTS_OWED_TO_ONE if p == 1 else RESTARTS_OWED)
-        self.surrogates, self.equations, self.guides = Surrogates(problem), Equations(learned_ode), [*guides]
+        self.surrogates, self.equations, self.leaders = (
+            Surrogates(problem),
+            Equations(learned_ode),
+            [*leaders],
+        )
         if learned_ode is not None:
             learned_ode.report_to(recorder.think_of)
         # Points of the first design that equations have left, and slopes
@@ -94,7 +98,7 @@ class SearchState:
     def learn(self, answer: Evaluation) -> None:
         """Take simulations among those that the search learns from."""
         self.rows.add(answer)
-        for learner in (self.equations.ode, *self.guides):
+        for learner in (self.equations.ode, *self.leaders):
             if learner is not None:
                 learner.note(answer)
 

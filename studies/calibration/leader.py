@@ -25,7 +25,7 @@ N_VAIN = 6
 BESIDE = 0.05
 
 
-class Guide(ABC):
+class Leader(ABC):
     """Proposes points by residuals that it predicts.
 
     Attributes:
