@@ -13,7 +13,7 @@ import torch
 from rc_step_for_tests import SMALL, rc_step, step_drive
 
 from pelsvae.config import VARIANTS, SurrogateConfig
-from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.epochs import EpochReport, StopTraining, TrainingDiverged
 from pelsvae.metrics import errors
 from pelsvae.training import FitResult, fit
 
@@ -80,6 +80,27 @@ def test_early_stopping_restores_the_best_weights() -> None:
     restored = errors(result.surrogate.predict(theta), y).mae
     assert restored == pytest.approx(min(validation), rel=FLOAT32_TOL)
     assert restored < validation[-1]
+
+
+@pytest.mark.parametrize("decoder", ["layers", "state-space"])
+def test_a_caller_who_stops_a_training_gets_its_best_weights_so_far(decoder: str) -> None:
+    reports: list[EpochReport] = []
+
+    def stop(report: EpochReport) -> None:
+        reports.append(report)
+        if report.epoch >= 10:
+            raise StopTraining("enough")
+
+    theta, y = rc_step(24, seed=1)
+    variant = VARIANTS["state-space"] if decoder == "state-space" else SMALL
+    config = variant.replace(max_epochs=200, validate_every=5, device="cpu", n_threads=1)
+    validation = rc_step(20, seed=2)
+    result = fit(theta, y, validation, config=config, seed=0, drive=step_drive(), on_epoch=stop)
+    assert (result.stop_reason, result.n_epochs, len(reports)) == ("enough", 10, 2)
+    least = min(reports, key=lambda report: report.validation_mae)
+    assert result.best_epoch == least.epoch
+    mae = errors(result.surrogate.predict(validation[0]), validation[1]).mae
+    assert mae == pytest.approx(least.validation_mae, rel=FLOAT32_TOL)
 
 
 def test_divergence_is_its_own_exception() -> None:
