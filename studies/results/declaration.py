@@ -21,6 +21,8 @@ from studies.search_space import STRICT, SearchParameter, SearchSpace, default_p
 
 ALIAS = "champion"
 """Of the best surrogate of a size, in MLflow's registry."""
+UNEXPLAINED = "/unexplained"
+"""Last part of the names of errors that are a part of the variance, without a unit."""
 SETS = ("train", "validation", "test")
 CROSS_VALIDATED = "cv"
 """First part of the names of errors that were found by cross-validation."""

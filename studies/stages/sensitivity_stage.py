@@ -2,6 +2,7 @@
 
 from studies.calibration.sobol import SobolIndices, sobol_indices, with_error_of_surrogate
 from studies.physical_model import open_physical_model, say_reused
+from studies.results.declaration import UNEXPLAINED
 from studies.results.outcome import Outcome
 from studies.simulation_time import duration
 from studies.stages.calibrate_stage import best_surrogate, tuned_with_best
@@ -75,6 +76,6 @@ def surrogate_sensitivity_stage(task: Task, n_train: int) -> Outcome[SobolIndice
             n_jobs=task.n_jobs,
         )
         found = sobol_indices(model, n_base=N_BASE, seed=task.profile.seed, n_resamples=budget.n_resamples)
-        return with_error_of_surrogate(found, n_train, best.metrics[f"{best.spec.judged_by}/unexplained"])
+        return with_error_of_surrogate(found, n_train, best.metrics[f"{best.spec.judged_by}{UNEXPLAINED}"])
 
     return stage.once(estimate, log=log_sensitivity)

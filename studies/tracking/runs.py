@@ -21,7 +21,7 @@ from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
-from studies.results.declaration import ALIAS, Declaration
+from studies.results.declaration import ALIAS, UNEXPLAINED, Declaration
 from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import (
@@ -348,7 +348,10 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
         inputs: list[ColSpec | TensorSpec] = [ColSpec(AnyType(), name) for name in spec.parameter_names]
         outputs = Schema([TensorSpec(np.dtype(np.float64), (-1, -1, len(spec.output_names)))])
         weights = runs.fetch(best.run_id, SURROGATE, Path(scratch))
-        needed = [f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")]
+        # The network of states is solved by numba.
+        kinds = "".join(file.read_text(encoding="utf-8") for file in sorted(weights.rglob("*.json")))
+        packages = ("numpy", "pandas", "torch", *(["numba"] if '"state-space"' in kinds else []))
+        needed = [f"{one}=={version(one).split('+')[0]}" for one in packages]
         params, experiment = client.get_run(best.run_id).data.params, runs.experiment(spec.label)
         made = client.create_logged_model(experiment, spec.model_name, best.run_id, about, params, kind)
         place, folder = made.artifact_location, Path(scratch) / "model"
@@ -367,7 +370,10 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
             client.log_model_artifacts(made.model_id, str(folder))
     client.finalize_logged_model(made.model_id, "READY")
     client.log_outputs(best.run_id, [entities.LoggedModelOutput(made.model_id, step=0)])
-    errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
+    errors = ", ".join(
+        f"{key} {value:.4g} {'' if key.endswith(UNEXPLAINED) else unit}".strip()
+        for key, value in best.metrics.items()
+    )
     which = f"{best.model[:1].upper()}{best.model[1:]} of {spec.name}"
     chosen = ", ".join(f"{name} {setting(value)}" for name, value in best.params.items())
     said = ". ".join(filter(None, (which, errors, chosen, spec.note)))

@@ -1,5 +1,6 @@
 """What the studies of a project have come to, read from Optuna alone: for tables, figures and programs."""
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -160,4 +161,7 @@ def importances(
             if name in point:
                 one.suggest(trial, name)
         study.tell(trial, value)
-    return dict(optuna.importance.get_param_importances(study))
+    with warnings.catch_warnings():
+        # It leaves out a condition that a single trial has, and warns of each.
+        warnings.filterwarnings("ignore", "Some regimes for parameter", UserWarning)
+        return dict(optuna.importance.get_param_importances(study))

@@ -15,7 +15,13 @@ from pelsvae.metrics import errors
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.results.declaration import CROSS_VALIDATED, DRIVE, Declaration, digest_of_arrays
+from studies.results.declaration import (
+    CROSS_VALIDATED,
+    DRIVE,
+    UNEXPLAINED,
+    Declaration,
+    digest_of_arrays,
+)
 from studies.results.row_set import RowSet
 from studies.results.saved import read_arrays
 
@@ -210,7 +216,7 @@ def errors_by_name(
     left, varies = (float(np.square(one * scales).sum()) for one in (predicted - y, y - y.mean(axis=0)))
     judged = {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
     # Part of the variance that is not explained.
-    judged[f"{name}/unexplained"] = left / varies if varies > 0.0 else 1.0
+    judged[f"{name}{UNEXPLAINED}"] = left / varies if varies > 0.0 else 1.0
     if len(spec.output_names) > 1:
         by_output = np.abs(predicted - y).mean(axis=(0, 1))
         for output, mae in zip(spec.output_names, by_output, strict=True):
