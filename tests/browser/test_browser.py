@@ -84,7 +84,7 @@ def test_the_leaderboard_shows_errors_and_hyperparameters_without_a_click(
 ) -> None:
     page.set_viewport_size({"width": 1280, "height": 800})
     page.goto(addresses[BEST])
-    page.get_by_role("gridcell").filter(has_text="n0016 trial").first.wait_for()
+    page.get_by_role("gridcell").filter(has_text="n0016").first.wait_for()
     ends = [0.0]
     for name in ("test/mae", "test/p90", "n_train", "n_latent", "n_hidden", "beta", "gain"):
         title = page.locator(f".ag-header-cell[col-id$='`{name}`']")
