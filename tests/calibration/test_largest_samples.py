@@ -127,7 +127,7 @@ def test_a_search_for_more_than_rounding_allows_ends() -> None:
     problem = measured(room, np.array([6.0, 2000.0]), 0.0, sensor=0.1)
     ode = LearnedODE.of(problem)
     found = Adaptive(max_calls=20, target_mse=1e-20).minimize(problem, seed=0, learned_ode=ode)
-    # Rounding, another one on each machine, decides whether the equations are given up; the search ends anyway.
+    # Rounding, another one on each machine, decides whether equations are given up; the search ends anyway.
     assert found.n_calls == 20 or not ode.is_given_up
     assert "the target of 1e-20 is missed" in found.stop_reason
 
