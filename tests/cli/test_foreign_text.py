@@ -75,7 +75,7 @@ def test_a_note_shows_no_picture(tmp_path: Path, picture: str) -> None:
 
     give_store(tmp_path)
     runs = RunStore(ProjectPaths(tmp_path))
-    runs.describe("a-label", f"3 rows {picture}")
+    runs.describe("a-label", "", f"3 rows {picture}", "")
     run = runs.client.get_run(runs.begin("a-label", "a run", {NOTE: f"3 rows {picture}"}))
     experiment = runs.client.get_experiment_by_name("a-label")
     assert experiment is not None

@@ -18,6 +18,7 @@ WHY_NOT = {
     r"^studies run office --n-train 32 64 --trials 12$": "made this project",
     r"office-recorded|^studies import-recording": "needs the recording; tests/paper and tests/cli use it",
     r"^studies uncertainty( |$)": "takes 10 s; tests/cli ask how sure calibrations are",
+    r"--simulations \d+": "tunes several sizes; tests/cli/test_budget.py runs it for the wall",
     r"--profile refined.toml$": "networks of that form were trained for this project",
     r"^studies reproduce office-quick": "tests/cli reproduce a trial and a calibration",
     r"mlflow.example.com|wall --max-calls 30$|best wall$": "its page is run with a server",
