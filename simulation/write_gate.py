@@ -5,6 +5,7 @@ that file overwritten.
 """
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from simulation.errors import InputError
@@ -65,14 +66,17 @@ def check_database(file: Path) -> None:
     for ending in _BESIDE_DATABASE:
         check_written(file.with_name(file.name + ending))
     journal = file.with_name(f"{file.name}-journal")
-    if journal.is_file():
-        with journal.open("rb") as stream:
-            stream.seek(-min(len(_SUPER_JOURNAL), journal.stat().st_size), os.SEEK_END)
-            if stream.read() == _SUPER_JOURNAL:
-                raise InputError(
-                    f"{journal}: names another file, which SQLite would delete; this program writes no such "
-                    "journal: do not use this database"
-                )
+    if not journal.is_file():
+        return
+    # Another process that writes may remove its journal at any moment.
+    with suppress(FileNotFoundError), journal.open("rb") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(-min(len(_SUPER_JOURNAL), size), os.SEEK_END)
+        if stream.read() == _SUPER_JOURNAL:
+            raise InputError(
+                f"{journal}: names another file, which SQLite would delete; this program writes no such "
+                "journal: do not use this database"
+            )
 
 
 def _leads_out(path: Path, root: Path) -> bool:

@@ -35,7 +35,7 @@ from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
 from studies.tracking.sent_runs import sent_runs
 from studies.tuning.means import judge, mean_of, share_name
-from studies.tuning.trial_training import load_data, load_drive, train
+from studies.tuning.trial_training import Training, load_data, load_drive
 from studies.words.console import Column, Console
 
 if TYPE_CHECKING:
@@ -213,9 +213,7 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
 
     numbers: dict[str, float] = {}
     with suppress(StopTraining):  # of processes, which are not judged before their end
-        _, numbers = train(
-            spec, config, made.seed, data, drive=drive, on_epoch=on_epoch, on_report=lambda *_: None
-        )
+        _, numbers = Training(spec, config, made.seed, data, drive).judged(on_epoch=on_epoch)
     was = {name: run.data.metrics[name] for name in numbers if name in run.data.metrics}
     again = [seen.get(step) for step in history]
     return {**was, curve: [*history.values()]}, {**numbers, curve: again}
@@ -237,15 +235,8 @@ def _mean(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Num
                 raise InputError(f"MLflow's run {run_id} is no trial; it cannot be a part of a mean")
             spec, config = own.declaration, own.declaration.config(own.params)
             task.console.say(f"  {spec.size}: training run {run_id} again")
-            fitted, _ = train(
-                spec,
-                config,
-                own.seed,
-                load_data(spec, task.paths),
-                drive=load_drive(spec, task.paths),
-                on_epoch=lambda _: None,
-                on_report=lambda *_: None,
-            )
+            sets, drive = load_data(spec, task.paths), load_drive(spec, task.paths)
+            fitted, _ = Training(spec, config, own.seed, sets, drive).judged()
             assert fitted is not None, "means are judged by a validation set"
             parts.append(fitted.surrogate)
     mean, used = mean_of(made.declaration, parts, data)

@@ -50,6 +50,11 @@ class PostgresServer:
         )
         with (data / "postgresql.conf").open("a") as file:
             file.write(f"{_SETTINGS}port = {self.port}\nunix_socket_directories = '{self.folder}'\n")
+        self._start()
+
+    def _start(self) -> None:
+        programs, data = _programs(), self.folder / "data"
+        assert programs is not None
         with (self.folder / "log").open("ab") as log:
             self._server = subprocess.Popen(
                 [*_as_postgres(), str(programs / "postgres"), "-D", str(data)],
@@ -67,10 +72,19 @@ class PostgresServer:
                     raise AssertionError((self.folder / "log").read_text()) from None
                 time.sleep(0.02)
 
-    def close(self) -> None:
-        """Stop the server at once, as a crash does, and remove the cluster."""
+    def _stop(self) -> None:
         self._server.send_signal(signal.SIGQUIT)
         self._server.wait(PATIENCE_S)
+
+    def restart(self, pause_s: float) -> None:
+        """Stop the server at once, as a crash does, and start it again after a while."""
+        self._stop()
+        time.sleep(pause_s)
+        self._start()
+
+    def close(self) -> None:
+        """Stop the server at once and remove the cluster."""
+        self._stop()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def url(self, database: str) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from simulation.errors import InputError, MachineError
 from simulation.foreign_text import shortened
 from simulation.pool.safe_start import environment_restored
+from studies.patience import Patient, waited_for
 from studies.words.quiet_loggers import hush
 
 with environment_restored(), warnings.catch_warnings():
@@ -39,6 +40,10 @@ __all__ = [
 ]
 
 
+class _PatientClient(Patient, mlflow.MlflowClient):
+    pass
+
+
 def connect(uri: str) -> mlflow.MlflowClient:
     """Open the store at a URI for runs and models alike; an SQLite file gets its schema here (some 7 s).
 
@@ -46,7 +51,7 @@ def connect(uri: str) -> mlflow.MlflowClient:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
+        client = waited_for(_PatientClient, tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client
 

@@ -34,15 +34,18 @@ class ForkedWorker:
         paths: the project.
         names: names of the studies.
         until_s: no trial begins after this moment. [s since 1970, UTC]
+        n_threads: folds of a cross-validation that it trains at once.
 
     Attributes:
         process: the process; it exits with 2 where a study cannot be used.
     """
 
-    def __init__(self, paths: ProjectPaths, names: Sequence[str], until_s: float | None) -> None:
+    def __init__(
+        self, paths: ProjectPaths, names: Sequence[str], until_s: float | None, n_threads: int
+    ) -> None:
         # A file and no pipe: a full pipe would stop the worker until it is read.
         self._said = tempfile.NamedTemporaryFile()  # noqa: SIM115 (closed with its worker)
-        given = (paths, names, until_s, self._said.name, dict(os.environ))
+        given = (paths, names, until_s, n_threads, self._said.name, dict(os.environ))
         self.process = _FORKED.Process(target=_work, args=given, daemon=True)
         with _fork_server():
             self.process.start()
@@ -84,6 +87,7 @@ def _work(
     paths: ProjectPaths,
     names: Sequence[str],
     until_s: float | None,
+    n_threads: int,
     messages: str,
     environment: dict[str, str],
 ) -> None:
@@ -98,7 +102,7 @@ def _work(
     with open(messages, "wb") as file:  # noqa: PTH123 (by the descriptor)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(file.fileno(), stream.fileno())
-    sys.exit(run_studies(paths, names, until_s))
+    sys.exit(run_studies(paths, names, until_s, n_threads))
 
 
 def _end_with_command() -> None:

@@ -4,13 +4,14 @@ import hashlib
 import logging
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 
 from optuna.storages import RDBStorage
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths, opening
+from studies.patience import Patient, waited_for
 from studies.tuning.attempts import experimental, run_again
 from studies.words.quiet_loggers import hush
 
@@ -18,6 +19,10 @@ from studies.words.quiet_loggers import hush
 HEARTBEAT_S, GRACE_S = 10, 30
 
 hush("optuna", logging.ERROR)
+
+
+class _PatientStorage(Patient, RDBStorage):
+    pass
 
 
 def open_storage(paths: ProjectPaths) -> RDBStorage:
@@ -37,7 +42,7 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
         # SQLite has one writer at a time, for whom others wait; a server may close idle connections.
         waits, asks = {"connect_args": {"timeout": 60}}, {"pool_pre_ping": True}
         with experimental():
-            storage = RDBStorage(
+            storage = _PatientStorage(
                 paths.optuna_url,
                 engine_kwargs=waits if paths.storage is None else asks,
                 heartbeat_interval=HEARTBEAT_S,
@@ -99,19 +104,26 @@ def study_locked(storage: RDBStorage, paths: ProjectPaths, name: str) -> Iterato
         with FileLock(paths.mlruns / ".optuna.lock") as lock:
             yield lock.release
         return
-    from sqlalchemy import text
+    from sqlalchemy import Connection, text
+    from sqlalchemy.exc import DBAPIError
 
     # PostgreSQL's locks are named by signed 64-bit numbers.
     number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], signed=True)
-    with storage.engine.connect() as connection:  # closing it gives the lock back
-        connection.execute(text("select pg_advisory_lock(:n)"), {"n": number})
 
-        def release() -> None:
+    def locked() -> Connection:
+        connection = storage.engine.connect()
+        connection.execute(text("select pg_advisory_lock(:n)"), {"n": number})
+        return connection
+
+    connection = waited_for(locked)
+
+    def release() -> None:
+        with suppress(DBAPIError):  # of a server that was restarted, which forgot its locks
             if not connection.closed:
                 connection.execute(text("select pg_advisory_unlock_all()"))
-                connection.close()
+        connection.close()  # gives the lock back, too
 
-        try:
-            yield release
-        finally:
-            release()
+    try:
+        yield release
+    finally:
+        release()

@@ -2,13 +2,18 @@
 
 import math
 import re
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
+from queue import SimpleQueue
+from threading import Event
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pelsvae.config import SurrogateConfig
+from pelsvae.device import n_threads_set
 from pelsvae.epochs import EpochReport, StopTraining, TrainingDiverged
 from pelsvae.linear_network.drive import Drive
 from pelsvae.metrics import errors
@@ -29,6 +34,8 @@ N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 # Before, ranks say next to nothing: at a tenth they correlate with the end by 0.37.
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
 
+OnEpoch = Callable[[EpochReport], None]
+OnReport = Callable[[int, float, bool], None]
 StudyData = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 """The data sets of a study by name without their failed rows: pairs of theta (n, p) and y (n, t, k)."""
 
@@ -76,135 +83,157 @@ def report_epochs(max_epochs: int) -> list[int]:
     return sorted({round(epoch) for epoch in row})
 
 
-def train(
-    spec: Declaration,
-    config: SurrogateConfig,
-    seed: int,
-    data: StudyData,
-    *,
-    drive: Drive | None = None,
-    on_epoch: Callable[[EpochReport], None],
-    on_report: Callable[[int, float, bool], None],
-) -> tuple[FitResult | None, dict[str, float]]:
-    """Train a surrogate and judge it on the validation and the test set, or by cross-validation.
+@dataclass(frozen=True)
+class Training:
+    """The training of one configuration.
 
-    Args:
+    Attributes:
         spec: the study.
         config: settings of the surrogate.
         seed: seed of the training.
         data: the sets.
         drive: what drives the model, for decoders that know it.
-        on_epoch: called after every reported epoch; what it raises ends the training.
-        on_report: called with the step (epoch, or number of folds), the error there, and whether it is the
-            last step, where trials are compared.
-
-    Returns:
-        The surrogate, None after cross-validation (see `train_on_all`); and its errors by name (`val/mae`,
-        `test/p90`, ..., or `cv/mae`, ...). [first output's unit]
-
-    Raises:
-        TrainingDiverged: the loss or an error is not finite.
     """
-    if spec.folds:
-        judged = _cross_validated(spec, config, seed, data, drive, on_epoch, on_report)
-        return None, _finite(judged)
-    steps = report_epochs(config.max_epochs)
 
-    def report(now: EpochReport) -> None:
-        on_epoch(now)
-        # Validated epochs are coarser than the steps: of several that are due the last one counts.
-        due = [step for step in steps if step <= now.epoch]
-        # Of processes only the last report is of the surrogate; the others are of parts of the rows.
-        if due and config.regressor == "network":
-            del steps[: len(due)]
-            on_report(due[-1], now.validation_mae, due[-1] == config.max_epochs)
+    spec: Declaration
+    config: SurrogateConfig
+    seed: int
+    data: StudyData
+    drive: Drive | None = None
 
-    fitted = _fit(spec, config, seed, data["train"], data["validation"], drive, report)
-    judged: dict[str, float] = {}
-    for name, (theta, y) in {"val": data["validation"], "test": data["test"]}.items():
-        judged |= errors_by_name(name, fitted.surrogate.predict(theta), y, spec)
-    return fitted, _finite(judged)
+    def judged(
+        self,
+        *,
+        on_epoch: OnEpoch = lambda now: None,
+        on_report: OnReport = lambda step, error, is_last: None,
+        n_threads: int = 1,
+    ) -> tuple[FitResult | None, dict[str, float]]:
+        """Train a surrogate and judge it on the validation and the test set, or by cross-validation.
 
+        Args:
+            on_epoch: called after every reported epoch; what it raises ends the training.
+            on_report: called with the step (epoch, or number of folds), the error there, and whether it is
+                the last step, where trials are compared.
+            n_threads: folds that are trained at once; decides no digit.
 
-def train_on_all(
-    spec: Declaration,
-    config: SurrogateConfig,
-    seed: int,
-    data: StudyData,
-    *,
-    drive: Drive | None,
-    on_epoch: Callable[[EpochReport], None],
-) -> FitResult:
-    """Train the surrogate of a trial that was cross-validated, with all training rows, to the last epoch.
+        Returns:
+            The surrogate, None after cross-validation (see `on_all`); and its errors by name (`val/mae`,
+            `test/p90`, ..., or `cv/mae`, ...). [first output's unit]
 
-    Args: as of `train`.
+        Raises:
+            TrainingDiverged: the loss or an error is not finite.
+        """
+        if self.spec.folds:
+            return None, _finite(self._cross_validated(on_epoch, on_report, n_threads))
+        steps = report_epochs(self.config.max_epochs)
 
-    Raises:
-        TrainingDiverged: the loss is not finite.
-    """
-    before = min(spec.folds, len(data["train"][0])) * config.max_epochs
-    return _fit(spec, config, seed, data["train"], None, drive, lambda now: on_epoch(_after(now, before)))
+        def report(now: EpochReport) -> None:
+            on_epoch(now)
+            # Validated epochs are coarser than the steps: of several that are due the last one counts.
+            due = [step for step in steps if step <= now.epoch]
+            # Of processes only the last report is of the surrogate; the others are of parts of the rows.
+            if due and self.config.regressor == "network":
+                del steps[: len(due)]
+                on_report(due[-1], now.validation_mae, due[-1] == self.config.max_epochs)
 
+        fitted = self._fit(self.data["train"], self.data["validation"], report)
+        judged: dict[str, float] = {}
+        for name, (theta, y) in {"val": self.data["validation"], "test": self.data["test"]}.items():
+            judged |= errors_by_name(name, fitted.surrogate.predict(theta), y, self.spec)
+        return fitted, _finite(judged)
 
-def _cross_validated(
-    spec: Declaration,
-    config: SurrogateConfig,
-    seed: int,
-    data: StudyData,
-    drive: Drive | None,
-    on_epoch: Callable[[EpochReport], None],
-    on_report: Callable[[int, float, bool], None],
-) -> dict[str, float]:
-    """Return the errors of all training rows, each by a surrogate of the other folds. [output's unit]."""
-    theta, y = data["train"]
-    n_folds = min(spec.folds, len(theta))
-    # Rows of a design are in random order already, and every trial has the same folds.
-    fold = np.arange(len(theta)) % n_folds
-    predicted, before = np.empty_like(y), 0
-    judged: dict[str, float] = {}
-    for number in range(n_folds):
-        held, others = fold == number, fold != number
+    def on_all(self, *, on_epoch: OnEpoch) -> FitResult:
+        """Train a surrogate that was cross-validated, with all training rows, to the last epoch.
 
-        def report(now: EpochReport, before: int = before) -> None:
-            on_epoch(_after(now, before))
+        Args:
+            on_epoch: as of `judged`.
 
-        # The held-out rows choose no epoch: what they judge has not seen them.
-        fitted = _fit(spec, config, seed, (theta[others], y[others]), None, drive, report)
-        if fitted.n_epochs < config.max_epochs:
-            raise StopTraining(fitted.stop_reason)
-        predicted[held] = fitted.surrogate.predict(theta[held])
-        done, before = fold <= number, before + config.max_epochs
-        judged = errors_by_name(CROSS_VALIDATED, predicted[done], y[done], spec)
-        mae = judged[f"{CROSS_VALIDATED}/mae"]
-        on_epoch(EpochReport(before, n_folds * config.max_epochs, math.nan, mae))
-        on_report(number + 1, mae, number + 1 == n_folds)
-    return judged
+        Raises:
+            TrainingDiverged: the loss is not finite.
+        """
+        before = len(self._folds()) * self.config.max_epochs
+        return self._fit(self.data["train"], None, lambda now: on_epoch(_after(now, before)))
+
+    def _folds(self) -> list[NDArray[np.bool_]]:
+        """Return which rows each fold holds out; rows of a design are in random order already."""
+        n = len(self.data["train"][0])
+        n_folds = min(self.spec.folds, n)
+        return [np.arange(n) % n_folds == number for number in range(n_folds)]
+
+    def _cross_validated(self, on_epoch: OnEpoch, on_report: OnReport, n_threads: int) -> dict[str, float]:
+        """Return the errors of all training rows, each by a surrogate of the other folds. [output's unit]."""
+        _, y = self.data["train"]
+        folds, max_epochs = self._folds(), self.config.max_epochs
+        predicted, done, before = np.empty_like(y), np.zeros(len(y), dtype=bool), 0
+        judged: dict[str, float] = {}
+        # The same folds for every trial.
+        with closing(self._trained_folds(folds, on_epoch, n_threads)) as trained:
+            for number, (held, of_held) in enumerate(zip(folds, trained, strict=True), start=1):
+                predicted[held], done, before = of_held, done | held, before + max_epochs
+                judged = errors_by_name(CROSS_VALIDATED, predicted[done], y[done], self.spec)
+                mae = judged[f"{CROSS_VALIDATED}/mae"]
+                on_epoch(EpochReport(before, len(folds) * max_epochs, math.nan, mae))
+                on_report(number, mae, number == len(folds))
+        return judged
+
+    def _trained_folds(
+        self, folds: Sequence[NDArray[np.bool_]], on_epoch: OnEpoch, n_threads: int
+    ) -> Generator[NDArray[np.float64]]:
+        """Yield the predictions of each fold's rows; folds are reported in their order and in this thread.
+
+        The kernels let other threads run, so folds side by side take less time. What `on_epoch` raises ends
+        all of them.
+        """
+        theta, y = self.data["train"]
+        reports = [SimpleQueue[EpochReport | None]() for _ in folds]
+        is_over = Event()
+
+        def fitted(number: int) -> FitResult:
+            def report(now: EpochReport) -> None:
+                if is_over.is_set():
+                    raise StopTraining("the trial has ended")
+                reports[number].put(now)
+
+            try:
+                # The held-out rows choose no epoch: what they judge has not seen them.
+                others = ~folds[number]
+                return self._fit((theta[others], y[others]), None, report)
+            finally:
+                reports[number].put(None)
+
+        with n_threads_set(self.config.n_threads), ThreadPoolExecutor(n_threads) as pool:
+            results = [pool.submit(fitted, number) for number in range(len(folds))]
+            try:
+                for number, (held, result) in enumerate(zip(folds, results, strict=True)):
+                    for now in iter(reports[number].get, None):
+                        on_epoch(_after(now, number * self.config.max_epochs))
+                    yield result.result().surrogate.predict(theta[held])
+            finally:
+                is_over.set()
+                for result in results:
+                    result.cancel()
+
+    def _fit(
+        self,
+        rows: tuple[NDArray[np.float64], NDArray[np.float64]],
+        validation: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+        on_epoch: OnEpoch,
+    ) -> FitResult:
+        return fit(
+            *rows,
+            validation,
+            config=self.config,
+            seed=self.seed,
+            log_columns=np.array(self.spec.is_log),
+            output_scales=np.array(self.spec.output_scales),
+            drive=self.drive,
+            on_epoch=on_epoch,
+        )
 
 
 def _after(now: EpochReport, before: int) -> EpochReport:
     """Return a report of one of several trainings, counted from the begin of the first."""
     return replace(now, epoch=before + now.epoch, max_epochs=before + now.max_epochs)
-
-
-def _fit(
-    spec: Declaration,
-    config: SurrogateConfig,
-    seed: int,
-    rows: tuple[NDArray[np.float64], NDArray[np.float64]],
-    validation: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
-    drive: Drive | None,
-    on_epoch: Callable[[EpochReport], None],
-) -> FitResult:
-    return fit(
-        *rows,
-        validation,
-        config=config,
-        seed=seed,
-        log_columns=np.array(spec.is_log),
-        output_scales=np.array(spec.output_scales),
-        drive=drive,
-        on_epoch=on_epoch,
-    )
 
 
 def errors_by_name(

@@ -263,6 +263,7 @@ def tune(
             planned = 1 if spec.is_baseline else n_trials
             part = _opened(spec, planned, storage, paths, runs, provenance)
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
+        n_threads = max(n_jobs // (n_parallel * len(sizes)), 1)
         # Begun last, the longest trainings would run alone at the end.
         largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
         try:
@@ -280,7 +281,7 @@ def tune(
                 for size in waiting:
                     names = [part.spec.name for part in size.parts if part.is_unfinished]
                     for _ in range(min(n_free, n_parallel - len(size.workers))):
-                        size.workers.append(ForkedWorker(paths, names, until_s))
+                        size.workers.append(ForkedWorker(paths, names, until_s, n_threads))
                         n_free -= 1
                 busy = [size for size in largest_first if size.workers]
                 for part in (part for size in busy for part in size.parts):

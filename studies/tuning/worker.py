@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import optuna
-from optuna.exceptions import UpdateFinishedTrialError
+from optuna.exceptions import StorageInternalError, UpdateFinishedTrialError
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.device import resolve_device
 from pelsvae.epochs import EpochReport, StopTraining
 from pelsvae.surrogate_files import save_surrogate
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths, find_project
 from studies.results.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, check_point, suggested
@@ -32,7 +32,7 @@ from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import open_storage, study_locked
-from studies.tuning.trial_training import load_data, load_drive, train, train_on_all
+from studies.tuning.trial_training import Training, load_data, load_drive
 from studies.words.quiet_loggers import working
 
 N_KEPT = 4
@@ -49,10 +49,11 @@ class Worker:
     Args:
         paths: the project.
         name: name of the study.
+        n_threads: folds of a cross-validation that are trained at once.
     """
 
-    def __init__(self, paths: ProjectPaths, name: str) -> None:
-        self._paths = paths
+    def __init__(self, paths: ProjectPaths, name: str, n_threads: int = 1) -> None:
+        self._paths, self._n_threads = paths, n_threads
         self._storage = open_storage(paths)
         try:
             study = optuna.load_study(study_name=name, storage=self._storage)
@@ -169,18 +170,18 @@ class Worker:
             trial.set_user_attr("training", {"n_epochs": epoch, "wall_s": wall_s, **more})
 
         try:
-            given = (spec, config, seed, self._data)
-            fitted, metrics = train(*given, drive=self._drive, on_epoch=on_epoch, on_report=compare)
+            training = Training(spec, config, seed, self._data, self._drive)
+            fitted, metrics = training.judged(on_epoch=on_epoch, on_report=compare, n_threads=self._n_threads)
             value = metrics.pop(f"{spec.chosen_by}/mae")
             n_kept = 1 if spec.folds else N_KEPT  # with folds weights cost a training of their own
             is_kept = self._n_better(value) < n_kept or spec.is_confirmation
             if fitted is None and is_kept:
-                fitted = train_on_all(*given, drive=self._drive, on_epoch=on_epoch)
+                fitted = training.on_all(on_epoch=on_epoch)
         except StopTraining:  # of processes and folds, which are not judged before their end
             note(stopped)
             raise optuna.TrialPruned(stopped) from None
-        except (OSError, UpdateFinishedTrialError):
-            raise  # a full disk is no fault of a configuration
+        except (OSError, MachineError, StorageInternalError, UpdateFinishedTrialError):
+            raise  # a full disk or a database that is away is no fault of a configuration
         except Exception as error:
             # Whatever else a configuration provokes (divergence, memory) is its result.
             said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
@@ -216,13 +217,16 @@ class Worker:
             end_run(self._runs, run_id, trial)
 
 
-def run_studies(paths: ProjectPaths | None, names: Sequence[str], until_s: float | None) -> int:
+def run_studies(
+    paths: ProjectPaths | None, names: Sequence[str], until_s: float | None, n_threads: int = 1
+) -> int:
     """Run the trials of studies; the last line of standard error says why it could not.
 
     Args:
         paths: the project; None for that of the working folder.
         names: names of the studies.
         until_s: no trial begins after this moment. [s since 1970, UTC]
+        n_threads: folds of a cross-validation that are trained at once.
 
     Returns:
         The exit code: 2 where a study cannot be used.
@@ -232,7 +236,7 @@ def run_studies(paths: ProjectPaths | None, names: Sequence[str], until_s: float
             project = paths or find_project(None)
             begin_sending(project)
             for name in names:
-                Worker(project, name).run(until_s=until_s)
+                Worker(project, name, n_threads).run(until_s=until_s)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2

@@ -11,6 +11,7 @@ WHY_NOT = {
     r"^(export|B=|F=|mkdir|watch )": "belongs to the shell, or shows again and again what is run",
     r"^sbatch|--dask": "needs a cluster; tests/simulation run a local one of Dask",
     r"^studies ui|^optuna-dashboard": "serves until it is stopped; tests/browser opens both",
+    r"mlflow models serve|^curl ": "serves until it is stopped; tests/tuning load the model as it does",
     r"^python -P -m studies.tuning.worker": "names a study of another project; trials are trained so",
     r"^python tests/benchmarks|^\$B ": "takes hours; tests/calibration check the table's file",
     r"--budget full|--trials (200|40)|--profile paper|--max-hours|--only fig6 fig7": "takes hours",

@@ -1,0 +1,81 @@
+"""A database that another program locks, or that is restarted, is waited for."""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from functools import partial
+from types import MethodType
+from typing import Any, TypeVar
+
+from simulation.errors import MachineError
+
+T = TypeVar("T")
+WAIT_S = 120.0
+"""How long a database may be away; a backup locks it, and a server restarts, in less."""
+_PAUSE_S = 1.0
+_IS_WITHIN = ContextVar("is_within", default=False)
+_LOG = logging.getLogger(__name__)
+
+
+class Patient:
+    """Mixed into a client of a database: its methods wait while the database is away.
+
+    What a method had begun is asked again as a whole. Errors of other kinds pass.
+    """
+
+    def __getattribute__(self, name: str) -> Any:
+        """Return an attribute; a method that waits."""
+        found = super().__getattribute__(name)
+        is_method = isinstance(found, MethodType) and not name.startswith("__")
+        return partial(waited_for, found) if is_method else found
+
+
+def waited_for(call: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+    """Call a function of a database; while that is away, wait and call it again.
+
+    Raises:
+        MachineError: the database is away for longer than `WAIT_S`.
+    """
+    if _IS_WITHIN.get():  # what a method calls within its transaction fails with it
+        return call(*args, **kwargs)
+    began = time.monotonic()
+    is_said = False
+    while True:
+        token = _IS_WITHIN.set(True)
+        try:
+            return call(*args, **kwargs)
+        except Exception as error:
+            why = _why_away(error)
+            if not why:
+                raise
+            if time.monotonic() - began >= WAIT_S:
+                raise MachineError(
+                    f"{why} for {WAIT_S:.0f} s; see to it, then type the command again: nothing is lost"
+                ) from None
+        finally:
+            _IS_WITHIN.reset(token)
+        if not is_said:
+            _LOG.warning(f"{why}; waiting for it, {WAIT_S:.0f} s at most")
+            is_said = True
+        time.sleep(_PAUSE_S)
+
+
+def _why_away(error: BaseException) -> str:
+    """Say why a database cannot be used at the moment; "" for errors that waiting does not mend."""
+    for one in _chain(error):
+        said = str(one)
+        if isinstance(one, MachineError):
+            return ""
+        if "database is locked" in said:
+            return "another program locks the SQLite database"
+        # As SQLAlchemy has it; psycopg's own names are the same.
+        if type(one).__name__ in ("OperationalError", "InterfaceError") and "psycopg" in said:
+            return "the PostgreSQL server cannot be reached"
+    return ""
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__
