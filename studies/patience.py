@@ -16,6 +16,12 @@ WAIT_S = 120.0
 _PAUSE_S = 1.0
 _IS_WITHIN = ContextVar("is_within", default=False)
 _LOG = logging.getLogger(__name__)
+_REMEDIES = {
+    "database or disk is full": "free some space",
+    "attempt to write a readonly database": "allow reading and writing there",
+    "disk I/O error": "see to the disk, and to limits of files (ulimit -f)",
+}
+"""What SQLite says where waiting does not help, and the remedy."""
 
 
 class Patient:
@@ -35,7 +41,7 @@ def waited_for(call: Callable[..., T], *args: Any, **kwargs: Any) -> T:
     """Call a function of a database; while that is away, wait and call it again.
 
     Raises:
-        MachineError: the database is away for longer than `WAIT_S`.
+        MachineError: the database is away for longer than `WAIT_S`, or its disk is in the way.
     """
     if _IS_WITHIN.get():  # what a method calls within its transaction fails with it
         return call(*args, **kwargs)
@@ -46,6 +52,9 @@ def waited_for(call: Callable[..., T], *args: Any, **kwargs: Any) -> T:
         try:
             return call(*args, **kwargs)
         except Exception as error:
+            for said, remedy in _REMEDIES.items():
+                if any(said in str(one) for one in _chain(error)):
+                    raise MachineError(f"{said}; {remedy}, then type the command again") from None
             why = _why_away(error)
             if not why:
                 raise
