@@ -26,6 +26,12 @@ class MeanSurrogate:
         """Parameters that enter a part by their logarithm and so must be positive. Shape (q,)."""
         return np.unique(np.concatenate([one.log_columns for one in self.parts]))
 
+    @property
+    def n_threads(self) -> int | None:
+        """Threads of torch that all parts predict with; None where they differ."""
+        counts = {one.n_threads for one in self.parts}
+        return counts.pop() if len(counts) == 1 else None
+
     def predict(self, theta: npt.ArrayLike, *, n_jobs: int = 1) -> Array:
         """Predict the trajectories of many parameter sets in one call.
 

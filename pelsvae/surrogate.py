@@ -40,6 +40,11 @@ class Surrogate:
         """Parameters that enter by their logarithm and so must be positive. Shape (q,)."""
         return self.theta_standardizer.log_columns
 
+    @property
+    def n_threads(self) -> int | None:
+        """Threads of torch that predictions are made with; who predicts often sets them once."""
+        return self.config.n_threads
+
     def predict(self, theta: npt.ArrayLike, *, n_jobs: int = 1) -> Array:
         """Predict the trajectories of many parameter sets in one call.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pelsvae.device import n_threads_set
 from pelsvae.mean_surrogate import MeanSurrogate
 from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
@@ -165,7 +166,12 @@ def calibrate(
     """
     case, profile = task.case, task.profile
     measurement, space = case.measurement, case.parameter_space
-    with open_physical_model(task) as physical, task.console.bars() as bars:
+    # Each of thousands of predictions would set the threads, which takes as long as the prediction.
+    with (
+        n_threads_set(surrogate.n_threads),
+        open_physical_model(task) as physical,
+        task.console.bars() as bars,
+    ):
         polishing, rows, known, n_read = polisher(profile), None, None, 0
         if isinstance(polishing, SurrogateSearch):
             problem = CalibrationProblem(physical, measurement, prior_of(case), case.layout)
