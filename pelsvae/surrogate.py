@@ -69,8 +69,14 @@ class Surrogate:
                 y[start : start + size] = self.output_standardizer.physical(x)
 
         starts = range(0, len(features), size)
+        # A new thread computes with as many threads as the machine has cores until it asks torch; with how
+        # many decides digits, and the linear algebra takes fewer on a busy machine.
+        asked = torch.get_num_threads
         # Threads suffice: torch computes without the interpreter's lock.
-        with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
+        with (
+            n_threads_set(self.config.n_threads),
+            ThreadPoolExecutor(max(1, n_jobs), initializer=asked) as threads,
+        ):
             list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(predict_from, starts))
         return y
 

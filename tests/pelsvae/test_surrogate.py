@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rc_step_for_tests import PROCESSES, RESIDUAL, SMALL, rc_step
 
+from pelsvae.config import VARIANTS
 from pelsvae.surrogate import Surrogate
 from pelsvae.surrogate_files import load_surrogate, save_surrogate
 from pelsvae.training import fit
@@ -119,3 +120,14 @@ def test_a_description_that_does_not_fit_is_refused(
     edited(tmp_path, **changes)
     with pytest.raises(ValueError, match=message):
         load_surrogate(tmp_path)
+
+
+@pytest.mark.parametrize("n_more", [5, 7, 11])
+def test_threads_that_share_the_rows_change_no_bit(n_more: int) -> None:
+    rng = np.random.default_rng(0)
+    theta, y = rng.uniform(1.0, 2.0, (32, 14)), rng.normal(size=(32, 50, 1))
+    config = VARIANTS["refined"].replace(max_epochs=2, n_hidden=74, n_threads=1)
+    surrogate = fit(theta, y, (theta, y), config=config, seed=0).surrogate
+    # The last thread has few rows: with two threads of its own, linear algebra gave them other digits.
+    many = rng.uniform(1.0, 2.0, (surrogate.network.rows_at_once + n_more, 14))
+    np.testing.assert_array_equal(surrogate.predict(many, n_jobs=2), surrogate.predict(many))
