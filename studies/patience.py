@@ -74,8 +74,6 @@ def _why_away(error: BaseException) -> str:
     """Say why a database cannot be used at the moment; "" for errors that waiting does not mend."""
     for one in _chain(error):
         said = str(one)
-        if isinstance(one, MachineError):
-            return ""
         if "database is locked" in said:
             return "another program locks the SQLite database"
         # As SQLAlchemy has it; psycopg's own names are the same.

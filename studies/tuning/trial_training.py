@@ -164,15 +164,15 @@ class Training:
         """Return the errors of all training rows, each by a surrogate of the other folds. [output's unit]."""
         _, y = self.data["train"]
         folds, max_epochs = self._folds(), self.config.max_epochs
-        predicted, done, before = np.empty_like(y), np.zeros(len(y), dtype=bool), 0
+        predicted, done = np.empty_like(y), np.zeros(len(y), dtype=bool)
         judged: dict[str, float] = {}
         # The same folds for every trial.
         with closing(self._trained_folds(folds, on_epoch, n_threads)) as trained:
             for number, (held, of_held) in enumerate(zip(folds, trained, strict=True), start=1):
-                predicted[held], done, before = of_held, done | held, before + max_epochs
+                predicted[held], done = of_held, done | held
                 judged = errors_by_name(CROSS_VALIDATED, predicted[done], y[done], self.spec)
                 mae = judged[f"{CROSS_VALIDATED}/mae"]
-                on_epoch(EpochReport(before, len(folds) * max_epochs, math.nan, mae))
+                on_epoch(EpochReport(number * max_epochs, len(folds) * max_epochs, math.nan, mae))
                 on_report(number, mae, number == len(folds))
         return judged
 
