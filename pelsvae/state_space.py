@@ -10,7 +10,6 @@ parameters, and the code z adds what powers leave unexplained; V is zero before 
 went the same way with neural differential equations (B-NODE: A and B linear in the latent parameters).
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -19,10 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from pelsvae.config import SurrogateConfig
-from pelsvae.linear_network import kernels
 from pelsvae.linear_network.drive import Drive
-from pelsvae.linear_network.form import MOST_LOG, SCALE, START, UNITS, Form, modes, stores
-from pelsvae.linear_network.kernels import Floats, Ints
+from pelsvae.linear_network.form import SCALE, START, UNITS, Form, modes, stores
+from pelsvae.linear_network.kernels import Ints
+from pelsvae.linear_network.solver import Solver
 from pelsvae.network import PelsVae
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 
@@ -70,10 +69,11 @@ class StateSpaceVae(PelsVae):
     is_power: Tensor
     start_column: Tensor
     start_stretch: Tensor
-    makes: Tensor
-    to_states: Tensor
-    to_inputs: Tensor
-    to_outputs: Tensor
+    mean: Tensor
+    deviation: Tensor
+    has_units: Tensor
+    of_elements: Tensor
+    of_parameters: Tensor
     rows_at_once = 64  # so many rows' states stay near a core
 
     def __init__(
@@ -124,17 +124,19 @@ class StateSpaceVae(PelsVae):
         self._set("is_power", torch.tensor(~drive.is_start))
         self._set("start_column", torch.tensor(starts))
         self._set("start_stretch", torch.tensor(theta.deviation[starts] * drive.start_ratio[starts] / unit))
-        for name in ("makes", "to_states", "to_inputs", "to_outputs"):
-            self._set(name, torch.tensor(getattr(form, name)))
         inputs = [(drive.potentials - level) / unit, drive.sources]
         if config.states == "modes":
             inputs += [drive.patterns[drive.pattern], np.ones((len(drive.pattern), 1))]
-        self.inputs = np.ascontiguousarray(np.hstack(inputs), dtype=np.float32)
-        is_switched = config.states == "stores"
-        self.pattern = drive.pattern if is_switched else np.zeros_like(drive.pattern)
-        self.n_patterns = len(drive.patterns) if is_switched else 1
-        self.places = [np.flatnonzero(self.pattern == one) for one in range(self.n_patterns)]
-        self.shape = outputs.mean.shape
+        # Switches are inputs of modes: one pattern.
+        pattern = drive.pattern if config.states == "stores" else np.zeros_like(drive.pattern)
+        self.solver = Solver(form, drive, np.hstack(inputs), pattern, len(outputs.mean))
+        self._set("mean", torch.tensor(form.mean))
+        self._set("deviation", torch.tensor(form.deviation))
+        time_powers = drive.time_powers if drive.time_powers.size else np.zeros(p)
+        has_units = np.isfinite(form.powers) & time_powers.any()
+        self._set("has_units", torch.tensor(np.flatnonzero(has_units)))
+        self._set("of_elements", torch.tensor(form.powers[has_units]))
+        self._set("of_parameters", torch.tensor(np.where(drive.is_start, 0.0, time_powers)))
 
     def _set(self, name: str, value: Tensor) -> None:
         self.register_buffer(name, value, persistent=False)
@@ -145,7 +147,9 @@ class StateSpaceVae(PelsVae):
         starts = theta[:, self.start_column].double() * self.start_stretch
         n_samples, b, _ = z.shape
         elements = self.constants + powers @ self.powers.T + z.double() @ self.of_code.T  # (L, b, q)
-        y = self._solved(elements.reshape(n_samples * b, -1), starts.repeat(n_samples, 1))
+        first = self.start[:, None] + starts @ self.of_start.transpose(1, 2)  # (e, b, s)
+        first = first.repeat(1, n_samples, 1).transpose(1, 2)
+        y: Tensor = Solved.apply(elements.reshape(n_samples * b, -1), first, self.solver)
         return y.reshape(n_samples, b, -1).mean(dim=0)
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
@@ -154,154 +158,50 @@ class StateSpaceVae(PelsVae):
         mean, _ = self.regressor(theta)
         return self.decoder(mean[None], theta)
 
-    def prior(self, width: float, sparsity: float) -> Tensor:
-        """Return minus the logarithm of the weights' probability before anything is known.
+    def add_slopes_of_prior(self, width: float, sparsity: float, weight: float) -> None:
+        """Add to the gradients those of minus the logarithm of what is probable before anything is known.
 
         Few powers differ from zero, so each costs the logarithm of its size (Candès, Wakin and Boyd 2008,
-        doi:10.1007/s00041-008-9045-x).
+        doi:10.1007/s00041-008-9045-x). Written out, as autograd would take as long as the network's solution.
 
         Args:
             width: Below it a power is free to vanish.
             sparsity: What each costs.
+            weight: Multiplies all slopes.
         """
-        form, drive = self.form, self.drive
-        mean, deviation = torch.tensor(form.mean), torch.tensor(form.deviation)
-        cost = 0.5 * ((self.constants - mean) / deviation).square().sum()
-        cost = cost + sparsity * torch.log(self.powers.square() + width**2).sum()
-        cost = cost + 0.5 * self.of_code.square().sum()
-        cost = cost + 0.5 * (self.start / START).square().sum() + 0.5 * self.of_start.square().sum()
-        if drive.time_powers.any():
-            # Units: the powers of time of what an element is a product of add up to its own.
-            by_unit = torch.tensor(np.where(drive.is_start, 0.0, drive.time_powers))
-            known = torch.tensor(np.flatnonzero(np.isfinite(form.powers)))
-            off = self.powers[known] @ by_unit - torch.tensor(form.powers)[known]
-            cost = cost + 0.5 * (off / UNITS).square().sum()
-        return cost
-
-    def _solved(self, elements: Tensor, starts: Tensor) -> Tensor:
-        """Solve the network: elements (n, q), start parameters (n, w) -> outputs (n, t k)."""
-        form, drive, n = self.form, self.drive, len(elements)
-        n_logs, s, c = self.makes.shape[1], form.n_states, self.inputs.shape[1]
-        rates = torch.exp((elements[:, :n_logs] @ self.makes.T).clamp(-MOST_LOG, form.most))
-        made = torch.cat([torch.ones_like(rates[:, :1]), rates, elements[:, n_logs:]], dim=1).T
-        a = (self.to_states @ made).reshape(self.n_patterns, s, s, n)
-        b = (self.to_inputs @ made).reshape(self.n_patterns, s, c, n)
-        cd = (self.to_outputs @ made).reshape(len(form.summed), s + c, n).float()
-        first = (self.start[:, None] + starts @ self.of_start.transpose(1, 2)).transpose(1, 2)  # (e, s, n)
-        x = Walked.apply(
-            a, b, first, self.inputs, self.pattern, self.places, drive
-        )  # reported states (t of all, s, n)
-        parts: list[Tensor] = [x] * self.shape[1]
-        begin = 0
-        for place, (steps, reported) in enumerate(drive.experiments()):
-            here = x[begin : begin + reported.size]
-            begin += reported.size
-            # The first states are outputs as they are.
-            found = list(here.unbind(dim=1))
-            if form.summed:
-                seen = torch.from_numpy(self.inputs[steps][np.maximum(reported - 1, 0)])  # (t, c)
-                sums = torch.einsum("lsn,tsn->ltn", cd[:, :s], here)
-                sums = sums + torch.einsum("lcn,tc->ltn", cd[:, s:], seen)
-                for output, one in zip(form.summed, sums, strict=True):
-                    found.insert(output, one)
-            for column, y in zip(drive.columns[place], found, strict=False):
-                # A shorter experiment keeps its last values, as simulated rows do.
-                parts[column] = torch.cat([y, y[-1:].expand(self.shape[0] - len(y), n)])
-        # Rows first at last: in what precedes they lie last.
-        return torch.stack(parts, dim=1).reshape(-1, n).T
+        with torch.no_grad():
+            by_powers = (2.0 * sparsity * self.powers).div_(self.powers.square() + width**2)
+            if len(self.has_units):
+                # Units: the powers of time of what an element is a product of add up to its own.
+                off = self.powers[self.has_units] @ self.of_parameters - self.of_elements
+                by_powers[self.has_units] += torch.outer(off, self.of_parameters / UNITS**2)
+            for weights, slopes in (
+                (self.constants, (self.constants - self.mean) / self.deviation**2),
+                (self.powers, by_powers),
+                (self.of_code, self.of_code),
+                (self.start, self.start / START**2),
+                (self.of_start, self.of_start),
+            ):
+                assert weights.grad is not None, "the slopes of the loss come first"
+                weights.grad.add_(slopes, alpha=weight)
 
 
-class Walked(torch.autograd.Function):
-    """States of linear networks at the reported times, with their slopes by the adjoint."""
+class Solved(torch.autograd.Function):
+    """Outputs of linear networks by `Solver`, with their slopes."""
 
     @staticmethod
-    def forward(  # type: ignore[override]  # torch declares any arguments
-        ctx: Any,
-        a: Tensor,
-        b: Tensor,
-        first: Tensor,
-        inputs: Floats,
-        pattern: Ints,
-        places: list[Ints],
-        drive: Drive,
-    ) -> Tensor:
-        """Matrices a (r, s, s, n), b (r, s, c, n), first states (e, s, n) -> states (t of all, s, n)."""
-        r, s, _, n = a.shape
-        matrices = np.ascontiguousarray(a.detach().numpy().transpose(1, 2, 0, 3)).reshape(s, s, r * n)
-        norm = float(np.abs(matrices).sum(axis=1).max()) * drive.step
-        n_doublings = max(0, math.ceil(math.log2(max(norm, 1e-9) / kernels.MOST_NORM)))
-        series = np.empty((kernels.N_TERMS, s, s, r * n))
-        doubled = np.empty((2, n_doublings + 1, s, s, r * n))
-        kernels.exponentials(matrices, drive.step, series, doubled)
-        exponential, integral = doubled[:, -1].reshape(2, s, s, r, n)
-        by_inputs = b.detach().numpy()
-        gains = np.einsum("ijrn,rjcn->rinc", integral, by_inputs).astype(np.float32).reshape(r, s * n, -1)
-        # Single precision suffices for states: 1e-6 of their scale, and half the time.
-        single = np.ascontiguousarray(exponential.transpose(2, 0, 1, 3), dtype=np.float32)
-        driven = np.empty((len(pattern), s, n), dtype=np.float32)
-        for one, steps in enumerate(places):
-            driven[steps] = _product(inputs[steps], gains[one].T).reshape(-1, s, n)
-        walks, reported = list[Floats](), list[Floats]()
-        for place, (steps, times) in enumerate(drive.experiments()):
-            x = np.empty((steps.stop - steps.start + 1, s, n), dtype=np.float32)
-            begin = np.ascontiguousarray(first[place].detach().numpy(), dtype=np.float32)
-            kernels.walk(single, driven[steps], begin, pattern[steps], x)
-            walks.append(x)
-            reported.append(x[times])
-        ctx.kept = (
-            matrices,
-            series,
-            doubled,
-            single,
-            integral,
-            by_inputs,
-            walks,
-            inputs,
-            pattern,
-            places,
-            drive,
-        )
-        return torch.from_numpy(np.concatenate(reported))
+    def forward(ctx: Any, elements: Tensor, first: Tensor, solver: Solver) -> Tensor:  # type: ignore[override]
+        """Elements (n, q), first states (e, s, n) -> outputs (n, t k); torch declares any arguments."""
+        ctx.solver = solver
+        y, ctx.solution = solver.solve(np.ascontiguousarray(elements.numpy().T), first.numpy())
+        return torch.from_numpy(y.T)
 
     @staticmethod
     def backward(ctx: Any, *by_results: Tensor) -> tuple[Tensor | None, ...]:
-        """Slopes by the reported states (t of all, s, n) -> slopes by a, b and the first states."""
-        matrices, series, doubled, single, integral, by_inputs, walks, inputs, pattern, places, drive = (
-            ctx.kept
-        )
-        r, s, _, n = single.shape
-        by_reported = by_results[0].numpy()
-        by_exponential = np.zeros(single.shape)
-        by_driven = np.empty((len(pattern), s, n), dtype=np.float32)
-        by_first, begin = list[Floats](), 0
-        for x, (steps, times) in zip(walks, drive.experiments(), strict=True):
-            by_x = np.zeros_like(x)
-            by_x[times] = by_reported[begin : begin + times.size]
-            begin += times.size
-            by_exponential += kernels.walk_adjoint(single, by_x, pattern[steps], x)
-            by_driven[steps] = by_x[1:]
-            by_first.append(by_x[0])
-        by_gains = np.stack(
-            [_product(by_driven[one].reshape(-1, s * n).T, inputs[one]).reshape(s, n, -1) for one in places]
-        ).astype(np.float64)  # (r, s, n, c)
-        by_integral = np.einsum("rinc,rjcn->ijrn", by_gains, by_inputs)
-        by_b = np.einsum("ijrn,rinc->rjcn", integral, by_gains)
-        by_a = kernels.exponentials_adjoint(
-            matrices,
-            drive.step,
-            series,
-            doubled,
-            np.ascontiguousarray(by_exponential.transpose(1, 2, 0, 3)).reshape(s, s, r * n),
-            np.ascontiguousarray(by_integral).reshape(s, s, r * n),
-        )
-        slopes = by_a.reshape(s, s, r, n).transpose(2, 0, 1, 3), by_b, np.stack(by_first).astype(np.float64)
-        return *(torch.from_numpy(np.ascontiguousarray(one)) for one in slopes), None, None, None, None
-
-
-def _product(left: Floats, right: Floats) -> Floats:
-    """Return a matrix product by torch, whose threads `n_threads` sets: NumPy's would take every core."""
-    product: Floats = (torch.from_numpy(left) @ torch.from_numpy(right)).numpy()
-    return product
+        """Slopes by the outputs -> slopes by elements and first states."""
+        by_y = np.ascontiguousarray(by_results[0].numpy().T)
+        by_elements, by_first = ctx.solver.slopes(by_y, ctx.solution)
+        return torch.from_numpy(by_elements.T), torch.from_numpy(by_first), None
 
 
 def _powers_of(theta: ThetaStandardizer, drive: Drive) -> tuple[Ints, Array]:

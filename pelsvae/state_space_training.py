@@ -71,10 +71,12 @@ def train_state_space(
     for number in range(n_steps):
         progress = number / n_steps
         rows = torch.randperm(n, generator=generator)[:size] if size < n else torch.arange(n)
-        terms, prior, noise = _loss(network, config, theta[rows], x[rows], progress, noise, generator)
+        terms, noise = _loss(network, config, theta[rows], x[rows], progress, noise, generator)
         for weight in weights:
             weight.grad = None
-        ((terms.total / config.beta + prior / (INDEPENDENT * n)) / 2.0).backward()
+        (terms.total / (2.0 * config.beta)).backward()
+        width = max(WIDE * NARROWER**progress, NARROW)
+        network.add_slopes_of_prior(width, config.sparsity, 0.5 / (INDEPENDENT * n))
         nn.utils.clip_grad_norm_([w for w in weights if w.grad is not None], LONGEST_GRADIENT)
         rate = learning_rate(config, progress)
         step_elements(OF_ELEMENTS * rate)
@@ -101,8 +103,8 @@ def _loss(
     progress: float,
     noise: float,
     generator: torch.Generator,
-) -> tuple[LossTerms, Tensor, float]:
-    """Return the terms of Eq. 5 for a batch, the priors' cost, and the noise that rows are weighed by."""
+) -> tuple[LossTerms, float]:
+    """Return the terms of Eq. 5 for a batch, and the noise that rows are weighed by."""
     zero, z = x.new_zeros(()), config.n_latent
     if progress <= WITHOUT_CODE:
         error = reconstruction(network.decoder(x.new_zeros(1, len(x), z), theta), x)
@@ -112,9 +114,7 @@ def _loss(
         terms = objective(network, x, theta, eps=eps, beta=1.0, detach_encoder=config.detach_encoder)
     noise = max(float(terms.reconstruction.detach()), NOISE_FALL * noise, LEAST_NOISE)
     total = terms.total + (config.beta / noise - 1.0) * terms.reconstruction
-    width = max(WIDE * NARROWER**progress, NARROW)
-    detached = LossTerms(total, *(one.detach() for one in terms[1:]))
-    return detached, network.prior(width, config.sparsity), noise
+    return LossTerms(total, *(one.detach() for one in terms[1:])), noise
 
 
 class EigenAdam:

@@ -136,54 +136,150 @@ def exponentials_adjoint(
 
 
 @_compiled
-def walk(exponential: Floats, drive: Floats, start: Floats, pattern: Ints, x: Floats) -> None:
-    """Fill x with the states x[t + 1] = E[pattern[t]] x[t] + drive[t].
-
-    Args:
-        exponential: E of each pattern of the switches. Shape (r, s, s, n).
-        drive: What inputs add in each step. Shape (m, s, n).
-        start: First states. Shape (s, n).
-        pattern: Pattern in each step. Shape (m,).
-        x: Shape (m + 1, s, n).
-    """
-    m, s, n = drive.shape
-    x[0] = start
-    for t in range(m):
-        matrix = exponential[pattern[t]]
-        for i in range(s):
-            out = x[t + 1, i]
-            for row in range(n):
-                out[row] = drive[t, i, row]
-            for j in range(s):
-                factor, state = matrix[i, j], x[t, j]
-                for row in range(n):
-                    out[row] += factor[row] * state[row]
+def combine(rows: Ints, columns: Ints, factors: Floats, values: Floats, into: Floats) -> None:
+    """Add a sparse matrix times values, shapes (y, n) -> (x, n): into[row] += factor values[column]."""
+    for entry in range(len(rows)):
+        out, value, factor = into[rows[entry]], values[columns[entry]], factors[entry]
+        for row in range(into.shape[1]):
+            out[row] += factor * value[row]
 
 
 @_compiled
-def walk_adjoint(exponential: Floats, by_x: Floats, pattern: Ints, x: Floats) -> Floats:
-    """Turn slopes by all states, held apart, into those through all later states; return those by E.
+def discrete(doubled: Floats, b: Floats, exponential: Floats, gains: Floats) -> None:
+    """Put what a step does to states and inputs, in single precision, behind each other as `walk` reads it.
 
-    Afterwards by_x[t + 1] are the slopes by drive[t], by_x[0] those by the first states.
+    Single precision suffices for states: 1e-6 of their scale, and half the time.
+
+    Args:
+        doubled: Exponential and integral as `exponentials` left them. Shape (2, k + 1, s, s, r n).
+        b: Inputs' gains. Shape (r, s, c, n).
+        exponential: Filled: to the states i from state j. Shape (r, s of j, s of i, n).
+        gains: Filled: to the states i from input c. Shape (r, c, s, n).
+    """
+    r, s, c, n = b.shape
+    last = doubled.shape[1] - 1
+    sums = np.empty(n)
+    for p in range(r):
+        for i in range(s):
+            for j in range(s):
+                for row in range(n):
+                    exponential[p, j, i, row] = doubled[0, last, i, j, p * n + row]
+            for k in range(c):
+                sums[:] = 0.0
+                for j in range(s):
+                    for row in range(n):
+                        sums[row] += doubled[1, last, i, j, p * n + row] * b[p, j, k, row]
+                gains[p, k, i] = sums
+
+
+@_compiled
+def discrete_adjoint(
+    doubled: Floats,
+    b: Floats,
+    by_walk: Floats,
+    by_gains: Floats,
+    by_exponential: Floats,
+    by_integral: Floats,
+    by_b: Floats,
+) -> None:
+    """Turn slopes by what `discrete` fills, as `walk_adjoint` leaves them, into slopes by what it reads.
+
+    Args:
+        doubled: As in `discrete`.
+        b: The same.
+        by_walk: Slopes by its exponential. Shape (r, s, s, n).
+        by_gains: Slopes by its gains. Shape (r, c, s, n).
+        by_exponential: Filled. Shape (s, s, r n).
+        by_integral: Filled. Shape (s, s, r n).
+        by_b: Filled. Shape (r, s, c, n).
+    """
+    r, s, c, n = b.shape
+    last = doubled.shape[1] - 1
+    by_integral[:] = 0.0
+    by_b[:] = 0.0
+    for p in range(r):
+        for i in range(s):
+            for j in range(s):
+                for row in range(n):
+                    by_exponential[i, j, p * n + row] = by_walk[p, j, i, row]
+                for k in range(c):
+                    for row in range(n):
+                        slope = by_gains[p, k, i, row]
+                        by_integral[i, j, p * n + row] += slope * b[p, j, k, row]
+                        by_b[p, j, k, row] += doubled[1, last, i, j, p * n + row] * slope
+
+
+@_compiled
+def walk(exponential: Floats, gains: Floats, inputs: Floats, pattern: Ints, x: Floats) -> None:
+    """Fill x with the states x[t + 1] = E[pattern[t]] x[t] + G[pattern[t]] u[t], from x[0] on.
+
+    Args:
+        exponential: E of each pattern of the switches, as `discrete` leaves it. Shape (r, s, s, n).
+        gains: G of each. Shape (r, c, s, n).
+        inputs: u in each step. Shape (m, c).
+        pattern: Pattern in each step. Shape (m,).
+        x: Shape (m + 1, s, n).
+    """
+    m, (_, s, n) = len(pattern), x.shape
+    for t in range(m):
+        matrix, of_inputs, out = exponential[pattern[t]], gains[pattern[t]], x[t + 1]
+        out[:] = 0.0
+        for k in range(inputs.shape[1]):
+            value, gain = inputs[t, k], of_inputs[k]
+            if value != 0.0:  # as the sun is at night
+                for i in range(s):
+                    for row in range(n):
+                        out[i, row] += value * gain[i, row]
+        for j in range(s):
+            factor, state = matrix[j], x[t, j]
+            for i in range(s):
+                for row in range(n):
+                    out[i, row] += factor[i, row] * state[row]
+
+
+@_compiled
+def walk_adjoint(
+    exponential: Floats,
+    inputs: Floats,
+    pattern: Ints,
+    x: Floats,
+    by_x: Floats,
+    by_exponential: Floats,
+    by_gains: Floats,
+) -> None:
+    """Turn slopes by all states, held apart, into those through all later states, and those by E and G.
+
+    Afterwards by_x[0] are the slopes by the first states.
 
     Args:
         exponential: As in `walk`.
-        by_x: Slopes by each state as if it moved no later one; overwritten. Shape (m + 1, s, n).
-        pattern: As in `walk`.
+        inputs: The same.
+        pattern: The same.
         x: The states. Shape (m + 1, s, n).
-
-    Returns:
-        Slopes by the exponentials. Shape (r, s, s, n).
+        by_x: Slopes by each state as if it moved no later one; overwritten. Shape (m + 1, s, n).
+        by_exponential: Slopes by E are added. Shape (r, s, s, n).
+        by_gains: Slopes by G are added. Shape (r, c, s, n).
     """
-    m, s, n = len(pattern), x.shape[1], x.shape[2]
-    by_exponential = np.zeros_like(exponential)
+    m, (_, s, n) = len(pattern), x.shape
     for t in range(m - 1, -1, -1):
-        matrix, slopes = exponential[pattern[t]], by_exponential[pattern[t]]
-        for i in range(s):
-            later = by_x[t + 1, i]
-            for j in range(s):
-                out, factor, slope, state = by_x[t, j], matrix[i, j], slopes[i, j], x[t, j]
+        p, later = pattern[t], by_x[t + 1]
+        for k in range(inputs.shape[1]):
+            value, slope = inputs[t, k], by_gains[p, k]
+            if value != 0.0:
+                for i in range(s):
+                    for row in range(n):
+                        slope[i, row] += value * later[i, row]
+        for j in range(s):
+            out, factor, slope, state = by_x[t, j], exponential[p, j], by_exponential[p, j], x[t, j]
+            for i in range(s):
                 for row in range(n):
-                    out[row] += factor[row] * later[row]
-                    slope[row] += later[row] * state[row]
-    return by_exponential
+                    out[row] += factor[i, row] * later[i, row]
+                    slope[i, row] += later[i, row] * state[row]
+
+
+@_compiled
+def add_rows(places: Ints, values: Floats, into: Floats) -> None:
+    """Add rows of numbers where they belong: into[places[r]] += values[r]. Shapes (x, n), (y, n)."""
+    for place in range(len(places)):
+        for row in range(into.shape[1]):
+            into[places[place], row] += values[place, row]

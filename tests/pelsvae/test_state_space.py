@@ -1,5 +1,7 @@
 """A decoder that knows the inputs: its mathematics against SciPy, and what it learns from few rows."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,11 @@ from scipy.linalg import expm
 from pelsvae import VARIANTS, Surrogate, fit, load_surrogate, save_surrogate
 from pelsvae.linear_network import kernels
 from pelsvae.linear_network.drive import Drive
-from pelsvae.state_space import Walked
+from pelsvae.linear_network.form import Form, modes, stores
+from pelsvae.linear_network.solver import Solver
+from pelsvae.state_space import Solved, StateSpaceVae
 
 N_STEPS, SHORT = 60, 40
-PLACES = [np.arange(N_STEPS + SHORT)]  # steps of the one pattern
 SMALL = VARIANTS["state-space"].replace(max_epochs=120, n_hidden=16, n_latent=4, n_threads=1)
 
 
@@ -86,19 +89,31 @@ def test_exponentials_are_those_of_scipy() -> None:
         np.testing.assert_allclose(doubled[1, -1, :, :, row], exact[:3, 3:], rtol=1e-9, atol=1e-9)
 
 
-def test_slopes_are_those_of_differences() -> None:
-    its, rng = drive(), np.random.default_rng(2)
-    a = torch.tensor(0.3 * rng.normal(size=(1, 2, 2, 3)) - np.eye(2)[None, :, :, None], requires_grad=True)
-    b = torch.tensor(rng.normal(size=(1, 2, 1, 3)), requires_grad=True)
-    first = torch.tensor(rng.normal(size=(2, 2, 3)), requires_grad=True)
-    inputs = np.ascontiguousarray(its.potentials / 10.0, dtype=np.float32)
-    weights = torch.tensor(rng.normal(size=(N_STEPS + SHORT + 2, 2, 3)), dtype=torch.float32)
+def solver_of(build: Callable[[Drive, int], Form]) -> tuple[Form, Solver]:
+    """Return the form of a network with switched inputs and its solver; switches are on at random."""
+    its, rng = drive(), np.random.default_rng(8)
+    patterns = np.array([[0.0], [1.0]])
+    its = replace(its, patterns=patterns, pattern=rng.integers(0, 2, N_STEPS + SHORT))
+    inputs, pattern = [its.potentials / 10.0], its.pattern
+    if build is modes:
+        inputs += [patterns[pattern], np.ones((len(pattern), 1))]
+        pattern = np.zeros_like(pattern)
+    form = build(its, 2)
+    return form, Solver(form, its, np.hstack(inputs), pattern, N_STEPS + 1)
+
+
+@pytest.mark.parametrize("build", [stores, modes])
+def test_slopes_are_those_of_differences(build: Callable[[Drive, int], Form]) -> None:
+    (form, solver), rng = solver_of(build), np.random.default_rng(2)
+    shapes = (3, form.mean.size), (2, form.n_states, 3)
+    elements, first = (torch.tensor(rng.normal(size=shape), requires_grad=True) for shape in shapes)
+    weights = torch.tensor(rng.normal(size=(3, 4 * (N_STEPS + 1))), dtype=torch.float32)
 
     def value() -> torch.Tensor:
-        return (Walked.apply(a, b, first, inputs, its.pattern, PLACES, its) * weights).sum()
+        return (Solved.apply(elements, first, solver) * weights).sum()
 
     value().backward()
-    for one in (a, b, first):
+    for one in (elements, first):
         assert one.grad is not None
         direction, size = torch.tensor(rng.normal(size=tuple(one.shape))), 1e-3
         along = float((one.grad * direction).sum())
@@ -112,26 +127,47 @@ def test_slopes_are_those_of_differences() -> None:
         assert (ends[0] - ends[1]) / (2.0 * size) == pytest.approx(along, rel=0.02)
 
 
-def test_states_are_those_of_an_integrator() -> None:
-    its = drive()
-    a, b = np.array([[-0.5, 0.2], [0.1, -0.3]]), np.array([[0.3], [0.2]])
-    first = np.array([2.0, -1.0])
-    x = Walked.apply(
-        torch.tensor(a[None, :, :, None]),
-        torch.tensor(b[None, :, :, None]),
-        torch.tensor(np.tile(first[None, :, None], (2, 1, 1))),
-        np.ascontiguousarray(its.potentials, dtype=np.float32),
-        its.pattern,
-        PLACES,
-        its,
-    )
-    at = first
-    for step, outdoor in enumerate(weather()[:N_STEPS]):
+@pytest.mark.parametrize("build", [stores, modes])
+def test_outputs_are_those_of_an_integrator(build: Callable[[Drive, int], Form]) -> None:
+    (form, solver), rng = solver_of(build), np.random.default_rng(3)
+    elements, first = form.mean + 0.5 * rng.normal(size=form.mean.size), rng.normal(size=form.n_states)
+    y, _ = solver.solve(elements[:, None], np.tile(first[None, :, None], (2, 1, 1)))
+    n_logs, s, c = form.makes.shape[1], form.n_states, solver.inputs.shape[1]
+    made = np.concatenate([[1.0], np.exp(form.makes @ elements[:n_logs]), elements[n_logs:]])
+    a = (form.to_states @ made).reshape(-1, s, s)
+    b = (form.to_inputs @ made).reshape(-1, s, c)
+    cd = (form.to_outputs @ made).reshape(-1, s + c)
+    at, step, found = first, drive().step, y[:, 0].reshape(N_STEPS + 1, 4)
+    for number, (u, pattern) in enumerate(zip(solver.inputs[:N_STEPS], solver.pattern, strict=False)):
         answer = solve_ivp(
-            lambda _, x, u=outdoor: a @ x + b[:, 0] * u, (0.0, its.step), at, rtol=1e-8, atol=1e-8
+            lambda _, x, p=pattern, u=u: a[p] @ x + b[p] @ u, (0.0, step), at, rtol=1e-8, atol=1e-8
         )
         at = answer.y[:, -1]
-        np.testing.assert_allclose(x[step + 1, :, 0], at, rtol=1e-4, atol=1e-4)
+        outputs = cd @ np.concatenate([at, u])
+        expected = outputs if build is modes else [at[0], *outputs]
+        np.testing.assert_allclose(found[number + 1, :2], expected, rtol=1e-4, atol=1e-4)
+
+
+def test_slopes_of_the_prior_are_those_of_its_cost() -> None:
+    """Written out here as what autograd differentiates."""
+    theta, y = simulated(24, 0)
+    its = replace(drive(), time_powers=np.array([1.0, -1.0, 0.0]), source_powers=np.empty(0))
+    network = fit(theta, y, None, config=SMALL.replace(max_epochs=1), seed=0, drive=its).surrogate.network
+    assert isinstance(network, StateSpaceVae)
+    network.requires_grad_(True)
+    known = torch.tensor(np.flatnonzero(np.isfinite(network.form.powers)))
+    off = network.powers[known] @ torch.tensor([1.0, -1.0, 0.0], dtype=torch.float64)
+    cost = 0.5 * (((off - torch.tensor(network.form.powers)[known]) / 0.05) ** 2).sum()
+    cost = cost + 0.5 * (((network.constants - torch.tensor(network.form.mean)) / 2.5) ** 2).sum()
+    cost = cost + 3.0 * torch.log(network.powers**2 + 0.2**2).sum() + 0.5 * (network.of_code**2).sum()
+    cost = cost + 0.5 * ((network.start / 10.0) ** 2).sum() + 0.5 * (network.of_start**2).sum()
+    weights = (network.constants, network.powers, network.of_code, network.start, network.of_start)
+    slopes = torch.autograd.grad(0.7 * cost, weights)
+    for weight in weights:
+        weight.grad = torch.zeros_like(weight)
+    network.add_slopes_of_prior(0.2, 3.0, 0.7)
+    for weight, slope in zip(weights, slopes, strict=True):
+        torch.testing.assert_close(weight.grad, slope)
 
 
 def test_few_rows_teach_it_what_processes_need_many_for(learnt: Surrogate) -> None:

@@ -1,6 +1,7 @@
 """Databases that another program locks, and a server that is restarted while trials are trained."""
 
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from postgres_for_tests import PostgresServer
 
 MLFLOW_WAITS_S = 20.0
-PAUSE_S = 4.0
+# AWAY_S makes both outages longer, at most as long as `patience.WAIT_S`.
+LOCKED_S = float(os.environ.get("AWAY_S", MLFLOW_WAITS_S + 2.0))
+PAUSE_S = float(os.environ.get("AWAY_S", 4.0))
 N_TRIALS = 3
 
 
@@ -37,7 +40,7 @@ def test_a_store_that_another_program_locks_for_long_loses_no_trial(
         with closing(sqlite3.connect(project.tracking_database, isolation_level=None)) as other:
             other.execute("begin immediate")
             is_locked.set()
-            time.sleep(MLFLOW_WAITS_S + 2.0)
+            time.sleep(LOCKED_S)
             other.execute("rollback")
 
     worker = Worker(project, spec.name)

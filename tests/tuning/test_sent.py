@@ -219,6 +219,22 @@ def test_a_server_with_a_password(
     assert PASSWORD not in kept
 
 
+def test_a_server_on_postgresql_has_the_same_runs(
+    copied: ProjectPaths, storage: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    database = storage.replace("postgresql:", "postgresql+psycopg:", 1)
+    company = MlflowServer(tmp_path_factory.mktemp("company"), database=database)
+    try:
+        paths = with_server(copied, company.uri)
+        assert send(paths) == []
+        assert_equal_there(company.uri, paths)
+        shutil.rmtree(paths.mlruns / "sent")
+        assert send(paths) == []
+        assert_equal_there(company.uri, paths)
+    finally:
+        company.close()
+
+
 def test_another_sqlite_file_is_a_server_too(
     copied: ProjectPaths, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
