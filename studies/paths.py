@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,6 +14,7 @@ from simulation.whole_file import whole_file
 from simulation.write_gate import check_database, guard_project
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.server import Server, choose_server, give_identity, settings
+from studies.shared_database import alone_on
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
 from studies.words.console import Console
 
@@ -257,9 +258,10 @@ def opening(paths: ProjectPaths, program: str, file: Path) -> Iterator[None]:
         check_database(file)
     try:
         # Processes that make the tables at the same moment would get in each other's way.
-        with FileLock(paths.mlruns / f".{program.lower()}.lock"):
+        shared = nullcontext() if paths.storage is None else alone_on(paths.storage)
+        with FileLock(paths.mlruns / f".{program.lower()}.lock"), shared:
             yield
-    except (InputError, OSError):
+    except (InputError, MachineError, OSError):
         raise
     except Exception as error:
         cause = error.__cause__ or error

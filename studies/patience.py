@@ -1,6 +1,7 @@
 """A database that another program locks, or that is restarted, is waited for."""
 
 import logging
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -14,6 +15,7 @@ T = TypeVar("T")
 WAIT_S = 120.0
 """How long a database may be away; a backup locks it, and a server restarts, in less."""
 _PAUSE_S = 1.0
+_IS_AWAY = re.compile("refused|timeout|timed out|starting up|shutting down|terminat|closed the connection")
 _IS_WITHIN = ContextVar("is_within", default=False)
 _LOG = logging.getLogger(__name__)
 _REMEDIES = {
@@ -76,9 +78,13 @@ def _why_away(error: BaseException) -> str:
         said = str(one)
         if "database is locked" in said:
             return "another program locks the SQLite database"
-        # As SQLAlchemy has it; psycopg's own names are the same.
-        if type(one).__name__ in ("OperationalError", "InterfaceError") and "psycopg" in said:
-            return "the PostgreSQL server cannot be reached"
+        # SQLAlchemy's names are psycopg's.
+        if {"OperationalError", "InterfaceError"} & {kind.__name__ for kind in type(one).__mro__}:
+            if "psycopg" in said:
+                return "the PostgreSQL server cannot be reached"
+            # psycopg itself calls a wrong password or name of a database by the same name.
+            if type(one).__module__.startswith("psycopg") and _IS_AWAY.search(said):
+                return f"the PostgreSQL server cannot be reached ({said.splitlines()[0]})"
     return ""
 
 

@@ -31,7 +31,9 @@ class MlflowServer:
 
     def __init__(self, folder: Path, *, database: str | None = None, is_guarded: bool = False) -> None:
         self._folder, self._is_guarded = folder, is_guarded
-        give_store(folder)
+        if database is None:
+            give_store(folder)
+        folder.mkdir(exist_ok=True)
         self._database = database or f"sqlite:///{folder}/mlruns/mlflow.db"
         with socket.socket() as listener:
             listener.bind(("127.0.0.1", 0))

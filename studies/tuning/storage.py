@@ -8,7 +8,6 @@ from contextlib import closing, contextmanager, suppress
 
 from optuna.storages import RDBStorage
 
-from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths, opening
 from studies.patience import Patient, waited_for
@@ -33,10 +32,8 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
         MachineError: it does not answer.
     """
     with opening(paths, "Optuna", paths.optuna_database):
-        if paths.storage is not None:
-            _prepare_schemas(paths.storage)
         # Before Optuna opens it: the write-ahead log is a property of the file and stays with it.
-        elif not paths.optuna_database.is_file():
+        if paths.storage is None and not paths.optuna_database.is_file():
             with closing(sqlite3.connect(paths.optuna_database)) as made:
                 made.execute("pragma journal_mode=wal")
         # SQLite has one writer at a time, for whom others wait; a server may close idle connections.
@@ -73,24 +70,6 @@ def storage_of(paths: ProjectPaths) -> Iterator[RDBStorage]:
     finally:
         storage.remove_session()
         storage.engine.dispose()
-
-
-def _prepare_schemas(storage: str) -> None:
-    """Make a schema for Optuna and one for MLflow: both own a table `alembic_version`."""
-    try:
-        import psycopg
-    except ImportError:
-        raise InputError("PostgreSQL needs: pip install 'pelsvae-studies[postgres]'") from None
-    try:
-        with psycopg.connect(storage, autocommit=True, connect_timeout=10) as connection:
-            # Any number that is always the same; the lock ends with the connection.
-            connection.execute("select pg_advisory_lock(7365747570)")
-            for schema in ("optuna", "mlflow"):
-                connection.execute(f"create schema if not exists {schema}".encode())
-    except psycopg.Error as error:
-        said = next(iter(str(error).splitlines()), type(error).__name__)
-        kind = MachineError if "refused" in said or "timeout" in said else InputError
-        raise kind(f"the storage {storage} cannot be used ({said}); correct it or start it") from None
 
 
 @contextmanager

@@ -59,26 +59,20 @@ def typed(project: Path, words: list[str], more: dict[str, str]) -> "subprocess.
 
 
 def trials_of(projects: dict[str, Path], url: str | None) -> dict[str, list[Any]]:
-    """Return the ended places of each study of all projects, by project and name."""
-    import optuna
-    from optuna.trial import TrialState
-
+    """Return the ended trials of each study of all projects, by project, label and size."""
     from studies.paths import ProjectPaths
-    from studies.tuning.attempts import places
+    from studies.tuning.study_results import read_studies
 
     found: dict[str, list[Any]] = {}
     for project, root in projects.items():
-        paths = ProjectPaths(root, url)
-        for study in optuna.get_all_study_summaries(paths.optuna_url):
-            name = study.study_name.removeprefix(f"{paths.identity}/")
-            if name == study.study_name and paths.identity:
-                continue  # another project's
-            trials = optuna.load_study(study_name=study.study_name, storage=paths.optuna_url).get_trials()
-            assert all(one.state.is_finished() for one in trials), f"{name}: a trial is left open"
-            good = [one for one in places(trials) if one.state != TrialState.FAIL]
-            found[f"{project}: {name}"] = [
-                (sorted(one.params.items()), one.state.name, one.values, one.user_attrs.get("test/mae"))
-                for one in good
+        for study in read_studies(ProjectPaths(root, url)):
+            spec, states = study.spec, {one.state for one in study.trials}
+            assert not states & {"running", "waiting"}, f"{spec.name}: a trial is left open"
+            kind = " baseline" if spec.is_baseline else ""
+            found[f"{project}: {spec.label}, n = {spec.n_train}{kind}"] = [
+                (sorted(one.params.items()), one.state, one.value, sorted(one.metrics.items()))
+                for one in study.trials
+                if one.state != "failed"
             ]
     return found
 

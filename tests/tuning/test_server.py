@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import pytest
 from toy_study_for_tests import assert_mlflow_agrees, states, toy_study, workers_of
 
 from simulation.errors import InputError, MachineError
+from studies import patience
 from studies.paths import ProjectPaths
 from studies.server import give_identity
 from studies.tracking.quiet_mlflow import connect
@@ -54,11 +56,34 @@ def test_two_workers_one_killed_reach_the_trials(
     assert sorted(schemas) == [("mlflow",), ("optuna",)]
 
 
-def test_a_server_that_does_not_answer_is_reported_in_one_line(project: ProjectPaths) -> None:
+def test_a_server_that_does_not_answer_is_waited_for_and_reported_in_one_line(
+    project: ProjectPaths, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     pytest.importorskip("psycopg")
+    monkeypatch.setattr(patience, "WAIT_S", 1.5)
     paths = ProjectPaths(project.root, "postgresql://tester@127.0.0.1:1/studies")
-    with pytest.raises(MachineError, match=r"tester@127.*correct it or start it"):
+    for opened in (open_storage, RunStore):
+        with pytest.raises(
+            MachineError, match=r'"127.0.0.1", port 1 failed: Connection refused.*type the comm'
+        ):
+            opened(paths)
+    lines = [record.message for record in caplog.records if record.name == patience.__name__]
+    assert len(lines) == 2
+    assert "refused); waiting for it" in lines[0]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # threads' connections
+def test_projects_that_begin_at_one_moment_share_an_empty_database(
+    project: ProjectPaths, storage: str, tmp_path: Path
+) -> None:
+    def begun(number: int) -> str:
+        paths = ProjectPaths(tmp_path / str(number), storage)
+        paths.mlruns.mkdir(parents=True)
         open_storage(paths)
+        return RunStore(paths).experiment(f"of {number}")
+
+    with ThreadPoolExecutor(4) as pool:
+        assert len(set(pool.map(begun, range(4)))) == 4
 
 
 def test_a_database_that_is_not_there_is_reported(project: ProjectPaths, storage: str) -> None:
