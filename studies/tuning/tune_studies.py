@@ -138,7 +138,9 @@ class _Part:
         for one, n_missing in wanted:
             spec = one.spec.confirmation
             if spec.name not in parts:
-                parts[spec.name] = _opened(spec, 0, None, self.storage, self.paths, self.runs, self.provenance)
+                parts[spec.name] = _opened(
+                    spec, 0, None, self.storage, self.paths, self.runs, self.provenance
+                )
             for _ in range(n_missing):
                 marks = {attempts.PROPOSED_BY: attempts.CONFIRMATION}
                 parts[spec.name].study.enqueue_trial(dict(one.params), user_attrs=marks)
@@ -194,8 +196,10 @@ class _Size:
         return any(part.is_held for part in self.parts)
 
     def begin_last(self, sizes: "Mapping[int, _Size]") -> None:
-        """Let the last trial begin where the trials of the next smaller size have ended: it tries their best."""
-        for part in (one for one in self.parts if one.smaller is not None and one.is_held):
+        """Let the last trial begin where trials of the next smaller size have ended; it tries their best."""
+        for part in self.parts:
+            if part.smaller is None or not part.is_held:
+                continue
             below = sizes[part.smaller]
             if not below.workers and not below.is_held and not any(one.is_unfinished for one in below.parts):
                 part.begin_last(next(one for one in below.parts if one.is_tuned).found)

@@ -142,7 +142,9 @@ def test_a_setting_that_is_fixed_or_searched_from_now_on_takes_its_trials_along(
 RATE: dict[str, Any] = {"kind": "float", "low": 1e-6, "high": 1e-1, "log": True}
 SLOW = SPEC.settings | {"learning_rate": 1e-6}
 SIZES = [
-    toy_study(16, search={**SEARCH, "learning_rate": RATE}, settings=SLOW, enqueue=({"learning_rate": 0.01},)),
+    toy_study(
+        16, search={**SEARCH, "learning_rate": RATE}, settings=SLOW, enqueue=({"learning_rate": 0.01},)
+    ),
     toy_study(24, search={**SEARCH, "learning_rate": RATE}, settings=SLOW),
 ]
 """Their default learns next to nothing, and the smaller one tries something better."""
