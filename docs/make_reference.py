@@ -24,7 +24,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(FOLDER.parents[1]))
 
 from simulation import case_file  # noqa: E402
-from studies import profile, search_space  # noqa: E402
+from studies import comparison, profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.results import stage_results  # noqa: E402
@@ -57,6 +57,8 @@ PROFILE_TABLES = {
 }
 DOCUMENTS = {
     "An entry of studies (status) and of sizes (best)": stage_results.TunedSize,
+    "An entry of sizes (compare)": comparison.ComparedSize,
+    "first and second of an entry of sizes (compare)": comparison.ComparedStudy,
     "An entry of stages (simulate)": stage_results.SimulatedSets,
     "An entry of stages (calibrate) and of calibrations (status, best)": stage_results.Calibration,
     "ledger of a calibration": Ledger,

@@ -1,9 +1,9 @@
 """What we ask of both: studies, tracking, calibration, reports, the command line, and its words in Python.
 
 The functions do what the commands of their names do: `run`, `tune`, `calibrate`, `check`, `simulate`,
-`sensitivity`, `uncertainty`, `predict`, `report`, `best`, `status`, `reproduce`. `load_case` reads a `Case`
-by its name, and a `Problem` is a case made of objects. What is wrong with a case, a keyword or a file is an
-`InputError` of one line; a stage that fails is a `StageError`.
+`sensitivity`, `uncertainty`, `predict`, `report`, `best`, `compare`, `status`, `reproduce`.
+`load_case` reads a `Case` by its name, and a `Problem` is a case made of objects. What is wrong with a case,
+a keyword or a file is an `InputError` of one line; a stage that fails is a `StageError`.
 """
 
 from importlib import import_module
@@ -34,9 +34,11 @@ if TYPE_CHECKING:
     from studies.api.judgements import uncertainty as uncertainty
     from studies.api.problem import Problem as Problem
     from studies.api.projects import BestResult as BestResult
+    from studies.api.projects import ComparisonResult as ComparisonResult
     from studies.api.projects import ProjectResult as ProjectResult
     from studies.api.projects import ReproductionResult as ReproductionResult
     from studies.api.projects import best as best
+    from studies.api.projects import compare as compare
     from studies.api.projects import load_case as load_case
     from studies.api.projects import reproduce as reproduce
     from studies.api.projects import status as status
@@ -51,6 +53,7 @@ _MODULES = {
     "CalibrationResult": "studies.api.calibrations",
     "Case": "simulation.case",
     "CheckResult": "studies.api.judgements",
+    "ComparisonResult": "studies.api.projects",
     "Console": "studies.words.console",
     "InputError": "simulation.errors",
     "LeastSquaresTRF": "studies.calibration.polish",
@@ -70,6 +73,7 @@ _MODULES = {
     "best": "studies.api.projects",
     "calibrate": "studies.api.calibrations",
     "check": "studies.api.judgements",
+    "compare": "studies.api.projects",
     "load_case": "studies.api.projects",
     "predict": "studies.api.judgements",
     "report": "studies.api.judgements",

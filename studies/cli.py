@@ -49,6 +49,7 @@ COMMANDS = (
     "report",
     "status",
     "best",
+    "compare",
     "ui",
     "reproduce",
     "reproduce-paper",

@@ -285,6 +285,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
         Column("study"),
         Column("model", spare=6),
         number("trials"),
+        *([number("carried over", spare=4)] if any(one.n_carried for one in tuned) else []),
         number("pruned", spare=5),
         number("failed", spare=8),
     ]
@@ -296,6 +297,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
             one.short_model or MISSING,
             f"{one.n_trials}/{one.n_all}",
+            *([one.n_carried] if any(each.n_carried for each in tuned) else []),
             one.n_pruned,
             one.n_failed,
             one.n_running,

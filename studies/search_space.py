@@ -12,7 +12,7 @@ from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.foreign_text import quoted
 
 if TYPE_CHECKING:
-    from optuna import Trial
+    from optuna.trial import BaseTrial
 
 STRICT = ConfigDict(extra="forbid", strict=False)
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -76,7 +76,7 @@ class SearchParameter:
             for name, wanted in self.when.items()
         )
 
-    def suggest(self, trial: "Trial", name: str) -> Any:
+    def suggest(self, trial: "BaseTrial", name: str) -> Any:
         """Ask Optuna for a value."""
         if self.kind == "categorical":
             return trial.suggest_categorical(name, list(self.choices))
@@ -216,7 +216,7 @@ def _fault(form: SurrogateConfig, **settings: Any) -> str:
     return ""
 
 
-def suggested(trial: "Trial", space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:
+def suggested(trial: "BaseTrial", space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:
     """Ask Optuna for the hyperparameters of a trial, in the order of their declaration."""
     return _chosen(space, base, lambda name, parameter: parameter.suggest(trial, name))
 

@@ -1,4 +1,4 @@
-"""`best`, `status` and `reproduce`: what a project holds; and `load_case`."""
+"""`best`, `compare`, `status` and `reproduce`: what a project holds; and `load_case`."""
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from simulation.case import Case
+    from studies.comparison import ComparedSize
     from studies.project import Project
     from studies.reproduction import Compared
 
@@ -67,6 +68,26 @@ class BestResult(ProjectResult):
 
 
 @dataclass(frozen=True, eq=False)
+class ComparisonResult:
+    """Two labels beside each other.
+
+    Attributes:
+        labels: The labels that were compared.
+        sizes: What both came to at each training-set size, and which is better.
+    """
+
+    labels: tuple[str, str]
+    sizes: "tuple[ComparedSize, ...]"
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """A row per training-set size: errors, seeds, trials and simulations of both, and which is better."""
+        import pandas as pd
+
+        return pd.json_normalize([asdict(one) for one in self.sizes], max_level=1).set_index("n_train")
+
+
+@dataclass(frozen=True, eq=False)
 class ReproductionResult:
     """A recorded result and the same once more.
 
@@ -99,6 +120,29 @@ def best(which: str | None = None, *, storage: str | None = None, tracking: str 
     from studies.project import read_project
 
     return BestResult(read_project(find_project(storage, tracking), which))
+
+
+@verb
+def compare(
+    first: str, second: str, *, storage: str | None = None, tracking: str | None = None
+) -> ComparisonResult:
+    """Compare two profiles or labels, size by size, as `studies compare`.
+
+    Args:
+        first: A label, a pattern of one label, or the name or file of a profile.
+        second: What it is compared with.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
+
+    Raises:
+        InputError: Nothing, or more than one label, is called so.
+    """
+    from studies.comparison import compared_sizes, label_called
+    from studies.project import read_project
+
+    project = read_project(find_project(storage, tracking))
+    labels = label_called(project, first), label_called(project, second)
+    return ComparisonResult(labels, tuple(compared_sizes(project, labels)))
 
 
 @verb

@@ -202,6 +202,24 @@ class Declaration:
         plain = {"weight_decay": 0.0} if params.get("optimizer") == "adam" else {}  # adam has none
         return self._base_of(params.get("decoder")).replace(**(plain | dict(params)))
 
+    def point_of(self, config: SurrogateConfig) -> dict[str, Any] | None:
+        """Return the hyperparameters by which a trial would have these settings, None where none has them."""
+        point: dict[str, Any] = {}
+        for name, parameter in self.space.items():
+            if parameter.is_asked(self.base_config.to_dict() | point):
+                point[name] = getattr(config, name)
+        try:
+            is_inside = all(self.space[name].has(value) for name, value in point.items())
+            return point if is_inside and self.config(point) == config else None
+        except ValueError:  # settings that do not go together
+            return None
+
+    def continues(self, other: "Declaration") -> bool:
+        """Say whether trials of another study, with the same settings, would be trials of this one, too."""
+        same = ("is_confirmation", "sampler", "pruner", "seed", "project")
+        are_alike = all(getattr(self, name) == getattr(other, name) for name in same)
+        return are_alike and self.has_equal_data(other) and self.name != other.name
+
     def _base_of(self, decoder: str | None) -> SurrogateConfig:
         """Return the settings that trials with a decoder share."""
         if decoder not in self.forms:

@@ -126,6 +126,7 @@ class TunedSize:
         metrics: All errors of the best trial by name. [unit]
         baseline: Errors of PCA + GP on the same sets by name; empty without. [unit]
         folds: Parts of the training rows that judged in turn; 0 where a validation and a test set did.
+        n_carried: Trials of its latest study that were carried over from an earlier one, not trained again.
     """
 
     label: str
@@ -160,6 +161,7 @@ class TunedSize:
     metrics: Mapping[str, float] = field(default_factory=dict)
     baseline: Mapping[str, float] = field(default_factory=dict)
     folds: int = 0
+    n_carried: int = 0
 
     @property
     def judged_by(self) -> str:

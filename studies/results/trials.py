@@ -37,6 +37,7 @@ class TrialView:
         weights_sha256: of the trained surrogate's weights.
         parts: what a mean is made of, whose leading trial this is then; none of a trial alone.
         reported: validation MAE by epoch, where trials are compared. [output's unit]
+        carried_from: the trial of an earlier study that it is, where the search space was edited; else empty.
     """
 
     spec: Declaration
@@ -54,12 +55,18 @@ class TrialView:
     weights_sha256: str
     parts: tuple[MeanPart, ...] = ()
     reported: Mapping[int, float] = field(default_factory=dict)
+    carried_from: str = ""
 
     @property
     def model(self) -> str:
         """What it is, in words."""
         further = " of further seeds" if self.spec.is_confirmation else ""
         return in_words(self.parts) if self.parts else f"trial {self.number}{further}"
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it is over, with whatever result."""
+        return self.state in ("complete", "pruned", "failed")
 
     @cached_property
     def settings(self) -> SurrogateConfig:
@@ -79,6 +86,7 @@ class TunedStudy:
         gone: runs that cannot be recommended: deleted by their owner, or second to one and without weights.
         versions: versions of registered models, by run.
         mean: the best mean of its surrogates; None where none was looked for.
+        repeated: trials of one study that were carried over from another one, whose `trials` they are.
     """
 
     spec: Declaration
@@ -88,6 +96,7 @@ class TunedStudy:
     gone: frozenset[str] = frozenset()
     versions: Mapping[str, int] = field(default_factory=dict)
     mean: BestMean | None = None
+    repeated: tuple[TrialView, ...] = ()
 
     def count(self, state: str) -> int:
         """Return the number of trials in a state."""
@@ -106,7 +115,7 @@ class TunedStudy:
     @property
     def is_closed(self) -> bool:
         """Whether all trials have ended and the best one of them was registered."""
-        n_ended = sum(one.state in ("complete", "pruned", "failed") for one in self.trials)
+        n_ended = sum(one.has_ended for one in self.trials)
         # Projects of before noted no version, and their best one was chosen of the latest study alone.
         is_registered = self.best is None or self.spec.is_baseline or self.best.run_id in self.versions
         return is_registered and self.n_closed == n_ended == len(self.trials)
@@ -159,7 +168,8 @@ class TunedStudy:
     @property
     def default(self) -> TrialView | None:
         """The trial with the surrogate's own settings, where it was trained to its end."""
-        found = [one for one in self.trials if one.proposed_by == "default" and one.state == "complete"]
+        every = (*self.trials, *self.repeated)
+        found = [one for one in every if one.proposed_by == "default" and one.state == "complete"]
         # Of several studies that of the best trial: another search space may have another default.
         first = next((one.spec.name for one in self.usable if not one.spec.is_confirmation), "")
         return next(iter([one for one in found if one.spec.name == first] or found), None)
@@ -224,6 +234,7 @@ class TunedStudy:
             studies: where its PCA + GP is looked for: that of the same label and data sets.
         """
         spec, best = self.spec, self.best
+        carried = [one for one in self.of(spec.name).trials if one.carried_from]
         beside = next((o.best for o in studies if o.spec.is_baseline and o.spec.data == spec.data), None)
         more: dict[str, Any] = {f"n_{state}": self.count(state) for state in STATES}
         more |= {"study": spec.name, "surrogate": spec.surrogate}
@@ -250,6 +261,7 @@ class TunedStudy:
             model_uri=self.model_uri,
             baseline={} if beside is None else dict(beside.metrics),
             folds=spec.folds,
+            n_carried=len(carried),
             **more,
         )
 
@@ -266,8 +278,13 @@ class TunedStudy:
 
     def of(self, name: str) -> "TunedStudy":
         """Return what is of one study alone."""
-        own = tuple(one for one in self.trials if one.spec.name == name)
-        return replace(self, spec=own[0].spec if own else self.spec, trials=own)
+        own = [one for one in (*self.trials, *self.repeated) if one.spec.name == name]
+        own.sort(key=lambda one: one.number)
+        return replace(self, spec=own[0].spec if own else self.spec, trials=tuple(own), repeated=())
+
+    def n_ended_of(self, name: str) -> int:
+        """Return how many trials of one study have ended, without those that another one has, too."""
+        return sum(one.spec.name == name and one.has_ended for one in self.trials)
 
     @property
     def began_s(self) -> float:
@@ -282,10 +299,19 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
         studies: studies of equal data (see `Declaration.data`), at least one.
     """
     *others, last = sorted(studies, key=lambda one: (not one.spec.is_confirmation, one.began_s))
+    every, first = [trial for one in (*others, last) for trial in one.trials], dict[str, TrialView]()
+    # A trained surrogate counts once: as the trial that it first was.
+    for trial in sorted(every, key=lambda one: bool(one.carried_from)):
+        first.setdefault(trial.run_id, trial)
+    kept = tuple(one for one in every if not one.carried_from or first[one.run_id] is one)
+    repeated = tuple(one for one in every if one.carried_from and first[one.run_id] is not one)
+    n_others = sum(not one.spec.is_confirmation and one.spec.name != last.spec.name for one in kept)
+    n_new = last.n_planned - sum(one.spec.name == last.spec.name for one in repeated)
     return TunedStudy(
         spec=last.spec,
-        n_planned=last.n_planned + sum(len(one.trials) for one in others if not one.spec.is_confirmation),
-        trials=tuple(trial for one in (*others, last) for trial in one.trials),
+        n_planned=max(n_new, 0) + n_others,
+        trials=kept,
+        repeated=repeated,
         n_closed=sum(one.n_closed for one in studies),
         gone=frozenset().union(*(one.gone for one in studies)),
         versions={run: version for one in studies for run, version in one.versions.items()},

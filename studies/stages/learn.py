@@ -91,7 +91,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
             provenance=task.provenance(kind="training"),
             on_trials=show,
             on_warning=task.console.warn,
-            on_promotion=task.console.say,
+            on_news=task.console.say,
             confirm=budget.confirm,
         )
     tuned = [one for one in found if not one.spec.is_baseline]

@@ -95,6 +95,9 @@ def close_study(runs: RunStore, found: "TunedStudy", spec: Declaration, run_id: 
     alone = found.of(spec.name)
     best = alone.best_trial
     numbers: dict[str, float] = {f"n_{one}": alone.count(one) for one in ("complete", "pruned", "failed")}
+    for one in (trial for trial in alone.trials if trial.carried_from):
+        if runs.is_there(one.run_id):
+            runs.log(one.run_id, tags={"carried_to": spec.name})
     if found.gain is not None and found.gain_deviation is not None:
         numbers |= {"confirmed/gain": found.gain, "confirmed/gain_deviation": found.gain_deviation}
     if best is not None:
@@ -191,6 +194,8 @@ def _describe(runs: RunStore, every: "TunedStudy", spec: Declaration, run_id: st
     found = every.of(spec.name)
     best = found.best_trial
     said = [f"{count(found.n_ended, 'trial')}, of which {count(found.count('pruned'))} pruned"]
+    if n_carried := sum(bool(one.carried_from) for one in found.trials):
+        said.append(f"{count(n_carried)} carried over from before the search space was edited")
     if best is not None:
         unit = difference_unit(spec.output_unit)
         said = [

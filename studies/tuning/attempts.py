@@ -6,7 +6,7 @@ A place is a trial and the retries of it: a study of 20 trials has 20 places, ho
 import copy
 import socket
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,7 @@ import psutil
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
+from pelsvae.config import SurrogateConfig
 from simulation.errors import InputError
 from studies.results.declaration import Declaration
 from studies.results.saved import rebuilt
@@ -26,6 +27,10 @@ MAX_RETRIES = 5
 RUN_ID, OWNER = "mlflow_run_id", "owner"
 DECLARATION, PLANNED, PROVENANCE, CLOSED = "declaration", "n_trials", "provenance", "closed"
 """Attributes of a study; `closed` says how many trials had ended when its best surrogate was registered."""
+ALLOWED = "allowed"
+"""Attribute of a study: trials that may begin before the next smaller size has ended."""
+CARRIED = "carried_from"
+"""Attribute of a trial that an earlier study trained: which one it is there."""
 GONE = "gone"
 """Attribute of a study: runs in MLflow that cannot be recommended, as their owner deleted them."""
 VERSIONS = "versions"
@@ -47,8 +52,23 @@ def experimental() -> Iterator[None]:
         yield
 
 
-def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optuna.Study:
-    """Make the study of a declaration, or find it; its first configurations wait in it."""
+def make_study(
+    storage: RDBStorage,
+    spec: Declaration,
+    *,
+    n_trials: int,
+    carried: Iterable[FrozenTrial] = (),
+    has_smaller: bool = False,
+) -> optuna.Study:
+    """Make the study of a declaration, or find it; its first configurations wait in it.
+
+    Args:
+        storage: Optuna's.
+        spec: the study.
+        n_trials: trials that it shall have.
+        carried: trials of earlier studies that are trials of this one, too; read where it is new.
+        has_smaller: whether its last trial waits for the best configuration of a smaller size.
+    """
     study = optuna.create_study(storage=storage, study_name=spec.name, load_if_exists=True)
     # The declared name has a digest of what decides; a device or a limit may still have changed.
     if study.user_attrs.get(DECLARATION) != spec.to_dict():
@@ -59,12 +79,39 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     with experimental():
         if study.metric_names is None:
             study.set_metric_names([f"{spec.chosen_by}/mae"])  # as in MLflow
+    trials = study.get_trials(deepcopy=False)
+    is_new = all(CARRIED in one.user_attrs for one in trials)
+    taken = {one.user_attrs[RUN_ID] for one in trials} if is_new else set()
+    for one in carried if is_new else ():  # a kill leaves some of them
+        if one.user_attrs[RUN_ID] not in taken:
+            study.add_trial(one)
     for place, params in enumerate(spec.first_points):
-        if not study.get_trials(deepcopy=False) or place:
+        # Without hyperparameters every trial equals this one, and Optuna would skip it.
+        if is_new or place:
             origin = "default" if place == 0 else "profile"
-            # Without hyperparameters every trial equals this one, and Optuna would skip it.
             study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
+    is_held = has_smaller and n_begun(study.get_trials(deepcopy=False)) < n_trials
+    if study.user_attrs.get(ALLOWED, n_trials) != (allowed := n_trials - is_held):
+        study.set_user_attr(ALLOWED, allowed)
     return study
+
+
+def n_allowed(study: optuna.Study) -> int:
+    """Return how many trials a study may have by now."""
+    attrs = study.user_attrs
+    return min(int(attrs.get(PLANNED, 0)), int(attrs.get(ALLOWED, attrs.get(PLANNED, 0))))
+
+
+def begin_last(study: optuna.Study, spec: Declaration, best: SurrogateConfig | None) -> None:
+    """Enqueue the best settings of the next smaller size, and let the last trial begin.
+
+    Call it while the study is locked. What was tried before is not tried again: the sampler proposes then.
+    """
+    planned = int(study.user_attrs.get(PLANNED, 0))
+    point = None if best is None else spec.point_of(best)
+    if point and n_begun(study.get_trials(deepcopy=False)) < planned:
+        study.enqueue_trial(point, user_attrs={PROPOSED_BY: "smaller size"}, skip_if_exists=True)
+    study.set_user_attr(ALLOWED, planned)
 
 
 def lease_next(storage: RDBStorage, study: optuna.Study) -> int:

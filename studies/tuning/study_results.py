@@ -131,6 +131,7 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         began_s=began,
         weights_sha256=str(training.get("weights_sha256", "")),
         reported=dict(trial.intermediate_values),
+        carried_from=str(trial.user_attrs.get(attempts.CARRIED, "")),
     )
 
 

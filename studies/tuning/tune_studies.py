@@ -28,6 +28,7 @@ from studies.tracking.study_run import (
     without_deleted,
 )
 from studies.tuning import attempts
+from studies.tuning.carried import carried_trials
 from studies.tuning.confirmations import to_confirm
 from studies.tuning.forked_worker import ForkedWorker
 from studies.tuning.means import best_mean
@@ -54,6 +55,7 @@ class _Part:
     paths: ProjectPaths
     runs: RunStore
     provenance: Mapping[str, Any] | None
+    smaller: int | None = None
 
     @property
     def trials(self) -> list[FrozenTrial]:
@@ -62,7 +64,18 @@ class _Part:
     @property
     def is_unfinished(self) -> bool:
         """Whether a worker would find a trial to begin; how many are planned the latest command decides."""
-        return attempts.is_unfinished(self.trials, int(self.study.user_attrs.get(attempts.PLANNED, 0)))
+        return attempts.is_unfinished(self.trials, attempts.n_allowed(self.study))
+
+    @property
+    def is_held(self) -> bool:
+        """Whether its last trial waits for the next smaller size."""
+        return attempts.n_allowed(self.study) < int(self.study.user_attrs.get(attempts.PLANNED, 0))
+
+    @property
+    def found(self) -> TunedStudy:
+        """All studies whose errors compare with this one's."""
+        every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
+        return joined([one for one in every if one.spec.has_equal_data(self.spec)])
 
     def give_back(self) -> None:
         """Let the trials of dead workers be run again, and end the runs that they left open."""
@@ -70,7 +83,19 @@ class _Part:
             attempts.retry_lost(self.study)
         end_left_runs(self.runs, self.study, self.spec)
 
-    def close(self, on_warning: OnLine, on_promotion: OnLine) -> TunedStudy:
+    @property
+    def is_tuned(self) -> bool:
+        """Whether its trials are chosen among others."""
+        return not (self.spec.is_baseline or self.spec.is_confirmation)
+
+    def begin_last(self, smaller: TunedStudy) -> None:
+        """Let the last trial begin, with the best settings of the next smaller size."""
+        # Without further seeds: these begin at the same time.
+        best = next((one.settings for one in smaller.usable if not one.spec.is_confirmation), None)
+        with study_locked(self.storage, self.paths, self.spec.name):
+            attempts.begin_last(self.study, self.spec, best)
+
+    def close(self, on_warning: OnLine, on_news: OnLine) -> TunedStudy:
         """Register the best surrogate of all studies of equal data, and end the run of this one."""
         every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
         (found,) = joined_studies(one for one in every if one.spec.has_equal_data(self.spec))
@@ -89,7 +114,7 @@ class _Part:
         close_study(self.runs, found, self.spec, self.run_id)
         version, why = promote(self.runs, found)
         if why:
-            on_promotion(why)
+            on_news(why)
         if found.best is not None and version is not None:
             found = replace(found, versions={**found.versions, found.best.run_id: version})
         names = {self.spec.name, *(trial.spec.name for trial in found.trials)}
@@ -99,22 +124,23 @@ class _Part:
                 attempts.GONE: sorted(found.gone),
                 attempts.VERSIONS: dict(found.versions),
                 attempts.MEAN: None if found.mean is None else plain(found.mean),
-                attempts.CLOSED: found.of(name).n_ended,  # of confirmations too, where they stand alone
+                attempts.CLOSED: found.n_ended_of(name),
             }
             for key, value in noted.items():
                 if study.user_attrs.get(key) != value:
                     study.set_user_attr(key, value)
-        return replace(found, n_closed=sum(found.of(name).n_ended for name in names))
+        return replace(found, n_closed=sum(found.n_ended_of(name) for name in names))
 
     def confirmations(self, confirm: Confirmation) -> "list[_Part]":
         """Enqueue what is to be trained with further seeds, and return the studies of that."""
-        every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
-        (found,) = joined_studies(one for one in every if one.spec.has_equal_data(self.spec))
+        found = self.found
         wanted, parts = to_confirm(found, confirm), dict[str, _Part]()
         for one, n_missing in wanted:
             spec = one.spec.confirmation
             if spec.name not in parts:
-                parts[spec.name] = _opened(spec, 0, self.storage, self.paths, self.runs, self.provenance)
+                parts[spec.name] = _opened(
+                    spec, 0, None, self.storage, self.paths, self.runs, self.provenance
+                )
             for _ in range(n_missing):
                 marks = {attempts.PROPOSED_BY: attempts.CONFIRMATION}
                 parts[spec.name].study.enqueue_trial(dict(one.params), user_attrs=marks)
@@ -124,19 +150,23 @@ class _Part:
 def _opened(
     spec: Declaration,
     n_planned: int,
+    smaller: int | None,
     storage: RDBStorage,
     paths: ProjectPaths,
     runs: RunStore,
     provenance: Mapping[str, Any] | None,
 ) -> _Part:
     """Open a study, which is made where it is not there yet, and its run."""
+    carried, has_smaller = carried_trials(storage, spec), smaller is not None
     with study_locked(storage, paths, spec.name):
-        study = attempts.make_study(storage, spec, n_trials=n_planned)
+        study = attempts.make_study(
+            storage, spec, n_trials=n_planned, carried=carried, has_smaller=has_smaller
+        )
     run_id = open_study_run(runs, spec, n_planned, study.user_attrs.get(attempts.RUN_ID))
     for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
         if value and study.user_attrs.get(name) != value:
             study.set_user_attr(name, value)
-    part = _Part(spec, study, run_id, storage, paths, runs, provenance)
+    part = _Part(spec, study, run_id, storage, paths, runs, provenance, smaller)
     part.give_back()
     return part
 
@@ -159,6 +189,20 @@ class _Size:
                 one for part in self.parts if not part.spec.is_baseline for one in part.confirmations(confirm)
             ]
         self.is_confirmed = True
+
+    @property
+    def is_held(self) -> bool:
+        """Whether a last trial waits for the next smaller size."""
+        return any(part.is_held for part in self.parts)
+
+    def begin_last(self, sizes: "Mapping[int, _Size]") -> None:
+        """Let the last trial begin where trials of the next smaller size have ended; it tries their best."""
+        for part in self.parts:
+            if part.smaller is None or not part.is_held:
+                continue
+            below = sizes[part.smaller]
+            if not below.workers and not below.is_held and not any(one.is_unfinished for one in below.parts):
+                part.begin_last(next(one for one in below.parts if one.is_tuned).found)
 
     def is_waiting(self, n_parallel: int) -> bool:
         """Whether one of at most `n_parallel` workers could begin a trial."""
@@ -210,6 +254,13 @@ class _Size:
                 part.runs.end(part.run_id, "KILLED")
 
 
+def _carried_words(n_train: int, n_carried: int, n_planned: int) -> str:
+    words = f"n_train {n_train}: {n_carried} of {n_planned} trials are carried over from before the search "
+    words += "space was edited; they count and are not trained again"
+    is_full = n_carried >= n_planned
+    return words + (f"; --trials {n_carried + n_planned} trains {n_planned} more" if is_full else "")
+
+
 BEST_OF_SIZES = "Best per n_train"
 """Begins our line in the note of an experiment."""
 
@@ -226,7 +277,7 @@ def tune(
     provenance: Mapping[str, Any] | None = None,
     on_trials: OnTrials = lambda spec, trials: None,
     on_warning: OnLine = _LOG.warning,
-    on_promotion: OnLine = _LOG.info,
+    on_news: OnLine = _LOG.info,
 ) -> list[TunedStudy]:
     """Bring every study to `n_trials` trials and register its best surrogate.
 
@@ -245,7 +296,8 @@ def tune(
         provenance: what makes the data sets again, kept with every trial.
         on_trials: called with the trials of a study that is worked on, about twice a second.
         on_warning: called with one line that a user should see.
-        on_promotion: called with one line that says why another surrogate is the best of a size now.
+        on_news: called with one line: why another surrogate is the best of a size now, or how many trials
+            were carried over.
 
     Returns:
         The studies as they stand, each with those of equal data, in the order given.
@@ -261,7 +313,11 @@ def tune(
         sizes: dict[int, _Size] = {}
         for spec in specs:
             planned = 1 if spec.is_baseline else n_trials
-            part = _opened(spec, planned, storage, paths, runs, provenance)
+            others = [] if spec.is_baseline else [one.n_train for one in specs if not one.is_baseline]
+            smaller = max((n for n in others if n < spec.n_train), default=None)
+            part = _opened(spec, planned, smaller, storage, paths, runs, provenance)
+            if n_carried := sum(attempts.CARRIED in one.user_attrs for one in part.trials):
+                on_news(_carried_words(spec.n_train, n_carried, planned))
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
         n_threads = max(n_jobs // (n_parallel * len(sizes)), 1)
         # Begun last, the longest trainings would run alone at the end.
@@ -275,7 +331,9 @@ def tune(
                 # Trials are read where a worker may begin: to read them takes time from those that train.
                 may_begin = bool(n_free) and not is_late
                 for size in largest_first if may_begin else []:
-                    if not size.workers and not size.is_waiting(n_parallel):
+                    size.begin_last(sizes)
+                for size in largest_first if may_begin else []:
+                    if not (size.workers or size.is_held or size.is_waiting(n_parallel)):
                         size.confirm(confirm)
                 waiting = [size for size in largest_first if may_begin and size.is_waiting(n_parallel)]
                 for size in waiting:
@@ -287,9 +345,10 @@ def tune(
                 for part in (part for size in busy for part in size.parts):
                     on_trials(part.spec, part.trials)
                 for size in largest_first if may_begin or is_late else []:
-                    if not size.workers and size not in waiting and not size.results:
+                    is_over = not (size.workers or size in waiting or (size.is_held and not is_late))
+                    if is_over and not size.results:
                         size.results = {
-                            part.spec.name: part.close(on_warning, on_promotion) for part in size.parts
+                            part.spec.name: part.close(on_warning, on_news) for part in size.parts
                         }
                 if not busy and not waiting:
                     break

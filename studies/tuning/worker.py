@@ -74,8 +74,8 @@ class Worker:
         while until_s is None or time.time() < until_s:
             with study_locked(self._storage, self._paths, self._spec.name) as release:
                 attempts.retry_lost(self._study)
-                planned = int(self._study.user_attrs.get(attempts.PLANNED, 0))
-                if not attempts.is_unfinished(self._study.get_trials(deepcopy=False), planned):
+                allowed = attempts.n_allowed(self._study)
+                if not attempts.is_unfinished(self._study.get_trials(deepcopy=False), allowed):
                     return
                 # Before the sampler is made: its seed follows from the place.
                 place = attempts.lease_next(self._storage, self._study)

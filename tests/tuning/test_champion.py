@@ -51,7 +51,7 @@ def test_an_edited_range_does_not_make_a_worse_surrogate_the_best(networks: Proj
     before = best_of_size(networks, 16).best
     assert before is not None
     edited = replace(spec, search=EDITED, settings=spec.settings | {"max_epochs": 1})
-    (found,) = tune([edited], paths=networks, n_trials=1, n_jobs=1, on_promotion=said.append)
+    (found,) = tune([edited], paths=networks, n_trials=1, n_jobs=1, on_news=said.append)
     (worse,) = found.of(edited.name).trials
     assert worse.value is not None
     assert before.value is not None
@@ -67,7 +67,7 @@ def test_an_edited_range_does_not_make_a_worse_surrogate_the_best(networks: Proj
 def test_a_better_surrogate_takes_the_place_and_a_line_says_why(networks: ProjectPaths) -> None:
     spec, said = tuned_study(16), list[str]()
     longer = replace(spec, settings=spec.settings | {"max_epochs": 60, "patience": 60})
-    (found,) = tune([longer], paths=networks, n_trials=1, n_jobs=1, on_promotion=said.append)
+    (found,) = tune([longer], paths=networks, n_trials=1, n_jobs=1, on_news=said.append)
     assert found.best_trial is not None
     assert found.best_trial.spec == longer
     (line,) = said
@@ -77,7 +77,7 @@ def test_a_better_surrogate_takes_the_place_and_a_line_says_why(networks: Projec
     assert version.tags["promoted"] == line
     assert_one_answer(networks, longer)
     # The command of before finds the same one.
-    tune([spec], paths=networks, n_trials=1, n_jobs=1, on_promotion=said.append)
+    tune([spec], paths=networks, n_trials=1, n_jobs=1, on_news=said.append)
     assert said == [line]
     assert_one_answer(networks, spec)
 
@@ -115,7 +115,7 @@ def test_other_data_begin_anew(copied: ProjectPaths) -> None:
     assert before is not None
     changed = replace(spec, digests=spec.digests | {"case": "d" * 64})
     said = list[str]()
-    (found,) = tune([changed], paths=copied, n_trials=1, n_jobs=1, on_promotion=said.append)
+    (found,) = tune([changed], paths=copied, n_trials=1, n_jobs=1, on_news=said.append)
     assert found.best is not None
     assert found.best.spec == changed
     (line,) = said
