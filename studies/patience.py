@@ -59,6 +59,9 @@ def waited_for(call: Callable[..., T], *args: Any, **kwargs: Any) -> T:
                     raise MachineError(f"{said}; {remedy}, then type the command again") from None
             why = _why_away(error)
             if not why:
+                # Optuna's own words of what its database said say nothing; notes come last.
+                for cause in (*_chain(error),)[1:]:
+                    error.add_note(f"{type(cause).__name__}: {next(iter(str(cause).splitlines()), '')}")
                 raise
             if time.monotonic() - began >= WAIT_S:
                 raise MachineError(
@@ -78,6 +81,12 @@ def _why_away(error: BaseException) -> str:
         said = str(one)
         if "database is locked" in said:
             return "another program locks the SQLite database"
+        # As SQLAlchemy knows it, and what it says of a session or a pool whose connections were lost.
+        is_of_session = (
+            type(one).__name__ in ("PendingRollbackError", "TimeoutError") and "sqlalche.me" in said
+        )
+        if is_of_session or getattr(one, "connection_invalidated", False):
+            return "the PostgreSQL server cannot be reached"
         # SQLAlchemy's names are psycopg's.
         if {"OperationalError", "InterfaceError"} & {kind.__name__ for kind in type(one).__mro__}:
             if "psycopg" in said:
