@@ -21,6 +21,7 @@ WHY_NOT = {
     r"^studies uncertainty( |$)": "takes 10 s; tests/cli ask how sure calibrations are",
     r"--simulations \d+": "tunes several sizes; tests/cli/test_budget.py runs it for the wall",
     r"--profile refined.toml$": "networks of that form were trained for this project",
+    r"^studies compare ": "needs two labels of one case; tests/cli/test_compare.py compares some",
     r"^studies reproduce office-quick": "tests/cli reproduce a trial and a calibration",
     r"mlflow.example.com|wall --max-calls 30$|best wall$": "its page is run with a server",
     r"--write (fmu|onnx|csv) ": "the page of these lines is run as a whole",
