@@ -23,7 +23,7 @@ from simulation.foreign_text import shortened
 from studies.calibration.search.adaptive import Adaptive
 from studies.paths import ProjectPaths
 from studies.results.provenance import FILE, Provenance, case_of, read_provenance
-from studies.results.saved import arrays_of, plain, read_arrays, read_json, rebuilt
+from studies.results.saved import arrays_of, plain, read_arrays, rebuilt
 from studies.results.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.adaptive_stage import calibrate_adaptively
 from studies.stages.calibrate_stage import calibrate
@@ -91,7 +91,7 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     run = _find(runs, name)
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
-        record = read_json(runs.fetch(run_id, FILE, Path(scratch))) or {}
+        record = runs.record(run_id, Path(scratch))
         made = read_provenance(record, f"MLflow's run {run_id}")
         case = case_of(paths, made, exactly=True)
         task = Task(case, made.profile, paths, console, n_jobs, made.label, made.command)
@@ -229,7 +229,7 @@ def _mean(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Num
         for run_id in made.parts:
             folder = Path(scratch) / run_id  # of a run whose artifacts are copied
             folder.mkdir()
-            record = read_json(runs.fetch(run_id, FILE, folder)) or {}
+            record = runs.record(run_id, folder)
             own = read_provenance(record, f"MLflow's run {run_id}")
             if own.kind != "training" or own.declaration is None:
                 raise InputError(f"MLflow's run {run_id} is no trial; it cannot be a part of a mean")

@@ -6,16 +6,16 @@ A stage leaves `<stage>.json`: its result, and what made it. Arrays of the resul
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from simulation.errors import InputError
+from simulation.record_file import write_json
 from simulation.write_gate import check_written
-from studies.results.outcome import Outcome, digest_of, read_outcome
-from studies.results.saved import arrays_of, plain, read_json, write_arrays, write_json
+from studies.results.outcome import Outcome, digest_of, read_manifest, read_outcome
+from studies.results.saved import arrays_of, plain, write_arrays
 from studies.task import Task
 from studies.tracking.origin import environment
 
@@ -146,18 +146,16 @@ class Stage(Generic[T]):
             return None
         root = self.task.paths.root
         try:
-            manifest = read_json(self.file) or {}
-        except InputError as damaged:
-            self.task.console.warn(f"{damaged}; {self.name} is done again")
-            return None
-        if manifest.get("digest") != self.digest:
-            return None
-        left = {root / name: size for name, size in manifest.get("files", {}).items()}
-        if not all(file.is_file() and file.stat().st_size == size for file, size in left.items()):
-            return None
-        outcome = None
-        with suppress(InputError):  # what cannot be read is done again
+            manifest = read_manifest(self.task.results, self.name) or {}
+            if manifest.get("digest") != self.digest:
+                return None
+            left = {root / name: size for name, size in manifest.get("files", {}).items()}
+            if not all(file.is_file() and file.stat().st_size == size for file, size in left.items()):
+                return None
             outcome = read_outcome(self.task.results, self.name, self.kind)
+        except InputError as unreadable:
+            self.task.console.warn(f"{unreadable}; {self.name} is done again")
+            return None
         if outcome is None or (self.task.retry_failed and getattr(outcome.result, "has_failures", False)):
             self.file.unlink(missing_ok=True)
             return None

@@ -10,10 +10,11 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.config import VARIANTS
+from simulation.record_file import write_json
 from studies.calibration.ledger import Ledger
 from studies.paths import ProjectPaths
 from studies.results.declaration import Declaration
-from studies.results.saved import arrays_of, plain, write_arrays, write_json
+from studies.results.saved import arrays_of, plain, write_arrays
 from studies.results.stage_results import Calibration
 from studies.tuning.attempts import DECLARATION, PLANNED, RUN_ID
 from studies.tuning.storage import open_storage

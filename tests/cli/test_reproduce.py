@@ -49,6 +49,7 @@ def record_file(root: Path, run: str) -> Path:
 
 def record_of(root: Path, run: str) -> dict[str, Any]:
     content = json.loads(record_file(root, run).read_text(encoding="utf-8"))
+    content.pop("checksum")
     assert isinstance(content, dict)
     return content
 

@@ -24,9 +24,9 @@ from studies_for_tests import (
     write_study,
 )
 
+from simulation.record_file import read_json, write_json
 from studies.calibration.ledger import Ledger
 from studies.results.provenance import file_digest
-from studies.results.saved import read_json, write_json
 
 OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 
