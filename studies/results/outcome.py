@@ -86,9 +86,14 @@ def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
     """
     file = folder / f"{stage}.json"
     manifest, arrays = read_manifest(folder, stage), file.with_suffix(".npz")
+    while manifest is not None:
+        kept = read_arrays(arrays, _remedy(stage)) if arrays.is_file() else {}
+        # Another command may have replaced both meanwhile.
+        before, manifest = manifest, read_manifest(folder, stage)
+        if repr(manifest) == repr(before):  # NaN is NaN
+            break
     if manifest is None or "result" not in manifest:  # which an earlier version wrote
         return None
-    kept = read_arrays(arrays, _remedy(stage)) if arrays.is_file() else {}
     result = rebuilt(kind, manifest["result"], str(file), kept)
     try:
         return Outcome(

@@ -33,7 +33,6 @@ class TrialView:
         wall_s: duration of the training. [s]
         n_epochs: epochs trained.
         best_epoch: epoch whose weights were kept.
-        began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
         parts: what a mean is made of, whose leading trial this is then; none of a trial alone.
         reported: validation MAE by epoch, where trials are compared. [output's unit]
@@ -50,7 +49,6 @@ class TrialView:
     wall_s: float
     n_epochs: int
     best_epoch: int
-    began_s: float
     weights_sha256: str
     parts: tuple[MeanPart, ...] = ()
     reported: Mapping[int, float] = field(default_factory=dict)
@@ -73,6 +71,7 @@ class TunedStudy:
 
     Args:
         spec: what it was declared with.
+        number: Optuna's number of it; a later one has a larger one, whatever a clock says.
         n_planned: trials it shall have.
         trials: its places, in order.
         n_closed: trials that had ended when its best surrogate was registered; 0 before.
@@ -82,6 +81,7 @@ class TunedStudy:
     """
 
     spec: Declaration
+    number: int
     n_planned: int
     trials: tuple[TrialView, ...]
     n_closed: int = 0
@@ -269,11 +269,6 @@ class TunedStudy:
         own = tuple(one for one in self.trials if one.spec.name == name)
         return replace(self, spec=own[0].spec if own else self.spec, trials=own)
 
-    @property
-    def began_s(self) -> float:
-        """When its first trial began. [s since 1970, UTC]."""
-        return min((trial.began_s for trial in self.trials if trial.began_s), default=0.0)
-
 
 def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
     """Return studies whose errors compare as one: an edited search space begins another study.
@@ -281,9 +276,10 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
     Args:
         studies: studies of equal data (see `Declaration.data`), at least one.
     """
-    *others, last = sorted(studies, key=lambda one: (not one.spec.is_confirmation, one.began_s))
+    *others, last = sorted(studies, key=lambda one: (not one.spec.is_confirmation, one.number))
     return TunedStudy(
         spec=last.spec,
+        number=last.number,
         n_planned=last.n_planned + sum(len(one.trials) for one in others if not one.spec.is_confirmation),
         trials=tuple(trial for one in (*others, last) for trial in one.trials),
         n_closed=sum(one.n_closed for one in studies),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from simulation.errors import InputError
+from simulation.file_lock import FileLock
 from simulation.record_file import write_json
 from simulation.write_gate import check_written
 from studies.results.outcome import Outcome, digest_of, read_manifest, read_outcome
@@ -89,6 +90,15 @@ class Stage(Generic[T]):
             )
             if not is_kept(result):
                 return replace(outcome, file=None)
+            self._store(outcome, files, log)
+        return outcome
+
+    def _store(
+        self, outcome: Outcome[T], files: Sequence[Path], log: Callable[[Task, Outcome[T]], None] | None
+    ) -> None:
+        """Write a result and its run in MLflow; one command at a time does so."""
+        task, result = self.task, outcome.result
+        with FileLock(self._lock):
             new = self.file.with_suffix(".new.npz")
             if arrays := arrays_of(result):
                 files = [*files, self.file.with_suffix(".npz")]
@@ -115,8 +125,7 @@ class Stage(Generic[T]):
             # It says that the stage is finished.
             write_json(self.file, manifest)
             self._begun_again.unlink(missing_ok=True)
-            self._log(log, outcome)
-        return outcome
+        self._log(log, outcome)
 
     @property
     def is_anew(self) -> bool:
@@ -128,14 +137,20 @@ class Stage(Generic[T]):
         return self.file.with_suffix(".again")
 
     @property
+    def _lock(self) -> Path:
+        return self.file.with_name(f".{self.name}.lock")
+
+    @property
     def _unlogged(self) -> Path:
         return self.file.with_suffix(".unlogged")
 
     def _log(self, log: Callable[[Task, Outcome[T]], None] | None, outcome: Outcome[T]) -> None:
         """Write the run in MLflow, unless that was done."""
         if log is not None and self._unlogged.is_file():
-            log(self.task, outcome)
-            self._unlogged.unlink(missing_ok=True)
+            with FileLock(self._lock):  # another command may just write it
+                if self._unlogged.is_file():
+                    log(self.task, outcome)
+                    self._unlogged.unlink(missing_ok=True)
 
     def _finished(self, *, again: bool) -> Outcome[T] | None:
         """Return what the stage came to before, and say so; None where it has to be done."""
