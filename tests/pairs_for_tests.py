@@ -65,13 +65,13 @@ def make_base(root: Path) -> None:
     answered(begun(root, CALIBRATE))
 
 
-def begun(project: Path, words: tuple[str, ...]) -> "subprocess.Popen[str]":
-    """Begin a command in a project."""
+def begun(project: Path, words: tuple[str, ...], before: tuple[str, ...] = ()) -> "subprocess.Popen[str]":
+    """Begin a command in a project, perhaps under another program."""
     scratch = project.parent / "tmp"
     scratch.mkdir(exist_ok=True)
     own = {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1", "TMPDIR": str(scratch)}
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "studies", *words],
+        [*before, sys.executable, "-P", "-m", "studies", *words],
         cwd=project,
         env=os.environ | own,
         stdin=subprocess.DEVNULL,

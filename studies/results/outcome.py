@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 from simulation.errors import InputError
 from simulation.record_file import read_json
 from studies.paths import ProjectPaths
-from studies.results.saved import plain, read_arrays, rebuilt
+from studies.results.saved import Arrays, plain, read_arrays, rebuilt
 
 T = TypeVar("T")
 
@@ -85,7 +85,7 @@ def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
         InputError: it cannot be read by this version, or its arrays are damaged.
     """
     file = folder / f"{stage}.json"
-    manifest, arrays = read_manifest(folder, stage), file.with_suffix(".npz")
+    manifest, arrays, kept = read_manifest(folder, stage), file.with_suffix(".npz"), Arrays()
     while manifest is not None:
         kept = read_arrays(arrays, _remedy(stage)) if arrays.is_file() else {}
         # Another command may have replaced both meanwhile.

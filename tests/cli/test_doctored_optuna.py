@@ -105,11 +105,11 @@ def doctor(
     return doctor
 
 
-def assert_one_line(studies: Run, *, is_told: bool = False) -> None:
+def assert_one_line(studies: Run, *, is_refused: bool = False) -> None:
     for command in COMMANDS:
         answer = studies(*command)
         lines = answer.err.splitlines()
-        assert answer.code in ((2,) if is_told else (0, 2)), answer.err
+        assert answer.code in ((2,) if is_refused else (0, 2)), answer.err
         assert len(lines) == bool(answer.code), answer.err
         assert not [line for line in (*lines, *answer.out.splitlines()) if has_control(line)]
         if answer.code == 0 and "--json" in command:
@@ -134,7 +134,7 @@ def test_a_doctored_database_is_one_line(statement: str, doctor: Doctor, studies
 
 def test_what_is_damaged_is_named(doctor: Doctor, studies: Run) -> None:
     doctor("update trial_values set value = 'x'")
-    assert_one_line(studies, is_told=True)
+    assert_one_line(studies, is_refused=True)
     said = studies("status").err
     assert "mlruns/optuna.db: a study or trial in it is damaged (could not convert" in said
     assert "restore it from a copy, or move it away" in said
