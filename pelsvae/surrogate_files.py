@@ -25,12 +25,13 @@ from pelsvae.surrogate import Surrogate
 WEIGHTS = "weights.npz"
 DESCRIPTION = "surrogate.json"
 _FORMAT, _FORMAT_OF_MEANS = 1, 2
+_CHECKSUM = "checksum"
 _DRIVE = "drive."  # prefix of what drives the model
 _NETWORK = "network."  # prefix of the weights among the arrays
 
 
 def save_surrogate(surrogate: Surrogate | MeanSurrogate, folder: Path) -> None:
-    """Write both files without pickle, the description last: it has the checksum of the weights.
+    """Write both files without pickle, the description last: it has the checksum of the weights and its own.
 
     Args:
         surrogate: What to save.
@@ -48,6 +49,7 @@ def save_surrogate(surrogate: Surrogate | MeanSurrogate, folder: Path) -> None:
     np.savez(folder / WEIGHTS, allow_pickle=False, **arrays)
     digest = hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest()
     description = {**about, "weights_sha256": digest}
+    description[_CHECKSUM] = _checksum(description)
     (folder / DESCRIPTION).write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
 
 
@@ -117,6 +119,9 @@ def _part(arrays: dict[str, npt.NDArray[Any]], prefix: str) -> dict[str, npt.NDA
 def _read_description(path: Path) -> tuple[list[SurrogateConfig], tuple[float, ...], str]:
     """Return the config of each part, the shares of a mean (none of a single one), the weights' digest."""
     read = json.loads(path.read_text(encoding="utf-8"))
+    # Earlier versions wrote none.
+    if not isinstance(read, dict) or read.pop(_CHECKSUM, None) not in (None, _checksum(read)):
+        raise ValueError("it is not as it was written")
     digest = str(read["weights_sha256"])
     if read["format"] == _FORMAT:
         return [SurrogateConfig.from_dict(read["config"])], (), digest
@@ -126,6 +131,10 @@ def _read_description(path: Path) -> tuple[list[SurrogateConfig], tuple[float, .
     if len(configs) != len(shares) or not shares or abs(sum(shares) - 1.0) > 1e-6 or min(shares) < 0.0:
         raise ValueError(f"{len(configs)} surrogates with the shares {list(shares)}")
     return configs, shares, digest
+
+
+def _checksum(description: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
 def _assembled(

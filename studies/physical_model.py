@@ -29,7 +29,7 @@ from studies.calibration.state_equations.states import (
     why_unwatched,
 )
 from studies.paths import ProjectPaths
-from studies.results.saved import read_json
+from studies.results.outcome import read_manifest
 from studies.simulation_time import Timed, note_time
 from studies.task import StageError, Task
 
@@ -131,7 +131,7 @@ def give_up_reuse(task: Task) -> None:
                 store.give_up_reuse()
     recorded = task.paths.recorded(case.path)
     for manifest in task.results.parent.glob("*/*.json"):
-        if (read_json(manifest) or {}).get("case_file") == recorded:
+        if (read_manifest(manifest.parent, manifest.stem) or {}).get("case_file") == recorded:
             manifest.unlink()
 
 

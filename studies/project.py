@@ -117,7 +117,7 @@ class Project:
     def sizes(self) -> list[TunedSize]:
         """What each size was tuned to; studies of other data stand apart."""
         found = joined_studies(self.studies)
-        found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s))
+        found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.number))
         return [one.summary(self.studies) for one in found]
 
 
@@ -182,7 +182,7 @@ def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
     """Return what each size with a best trial was tuned with last; the label used last comes first."""
     tuned = [one for one in project.studies if not one.spec.is_baseline and one.best is not None]
     found = {}
-    for label in dict.fromkeys(one.spec.label for one in sorted(tuned, key=lambda one: -one.began_s)):
+    for label in dict.fromkeys(one.spec.label for one in sorted(tuned, key=lambda one: -one.number)):
         latest = latest_studies([one for one in tuned if one.spec.label == label])
         found[label] = [latest[key] for key in sorted(latest)]
     return found

@@ -21,9 +21,10 @@ from pelsvae.surrogate import Surrogate
 from simulation.errors import InputError
 from simulation.foreign_text import shortened
 from studies.calibration.search.adaptive import Adaptive
-from studies.paths import ProjectPaths
+from studies.paths import ProjectPaths, folder_name
+from studies.results.outcome import read_manifest
 from studies.results.provenance import FILE, Provenance, case_of, read_provenance
-from studies.results.saved import arrays_of, plain, read_arrays, read_json, rebuilt
+from studies.results.saved import arrays_of, plain, read_arrays, rebuilt
 from studies.results.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.adaptive_stage import calibrate_adaptively
 from studies.stages.calibrate_stage import calibrate
@@ -91,7 +92,7 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     run = _find(runs, name)
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
-        record = read_json(runs.fetch(run_id, FILE, Path(scratch))) or {}
+        record = runs.record(run_id, Path(scratch))
         made = read_provenance(record, f"MLflow's run {run_id}")
         case = case_of(paths, made, exactly=True)
         task = Task(case, made.profile, paths, console, n_jobs, made.label, made.command)
@@ -166,7 +167,7 @@ def _compared(name: str, recorded: Any, now: Any) -> Compared:
 
 
 def _find(runs: RunStore, name: str) -> "Run":
-    """Find a run by its id, or the latest one of a calibration's name."""
+    """Find a run by its id, or that of the stored calibration of a name, else the latest one."""
     from mlflow.exceptions import MlflowException
 
     with suppress(MlflowException):
@@ -176,9 +177,13 @@ def _find(runs: RunStore, name: str) -> "Run":
             return runs.client.get_run((sent.run_of(name) if sent else None) or name)
         label, _, stage = name.partition("/")
         found = runs.client.get_experiment_by_name(label)
-        for run in reversed(runs.find(label, {"role": "calibration"}) if found else []):
-            if stage == run.info.run_name.removesuffix(" calibration"):
-                return run
+        named = runs.find(label, {"role": "calibration"}) if found else []
+        if named := [run for run in named if stage == run.info.run_name.removesuffix(" calibration")]:
+            # That of the stored result, whatever the clock said when others were made.
+            stored = read_manifest(runs.paths.results(label), folder_name(f"calibrate-{stage}")) or {}
+            return max(
+                reversed(named), key=lambda run: run.data.tags.get("stage_key") == stored.get("digest")
+            )
     known = "an MLflow run's id (`studies best --json` has some) or a calibration as in `studies status`"
     raise InputError(f"nothing is called {name!r}; give {known}")
 
@@ -229,7 +234,7 @@ def _mean(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Num
         for run_id in made.parts:
             folder = Path(scratch) / run_id  # of a run whose artifacts are copied
             folder.mkdir()
-            record = read_json(runs.fetch(run_id, FILE, folder)) or {}
+            record = runs.record(run_id, folder)
             own = read_provenance(record, f"MLflow's run {run_id}")
             if own.kind != "training" or own.declaration is None:
                 raise InputError(f"MLflow's run {run_id} is no trial; it cannot be a part of a mean")

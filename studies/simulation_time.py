@@ -4,8 +4,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from simulation.errors import InputError
+from simulation.record_file import read_json, write_json
 from studies.paths import ProjectPaths
-from studies.results.saved import read_json, write_json
 from studies.task import Task
 from studies.words.console import format_seconds
 from studies.words.wording import significant

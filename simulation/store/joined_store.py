@@ -1,9 +1,8 @@
 """The rows of several experiments as those of one store: each lies in the store of its own model."""
 
-import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,10 +14,12 @@ from simulation.experiments import JoinedModel
 from simulation.layout import Experiment, Layout
 from simulation.pool.pool_model import PoolModel
 from simulation.pool.worker_process import NewProcess
+from simulation.record_file import read_json, write_json
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from simulation.whole_file import whole_file
+
+_REMEDY = "remove it, and studies simulate makes it anew"
 
 
 class JoinedStore(SimulationStore):
@@ -48,12 +49,11 @@ class JoinedStore(SimulationStore):
             file: What `save` wrote.
 
         Raises:
-            InputError: If there is none, or one of the experiments' stores is missing.
+            InputError: If there is none, it is damaged, or one of the experiments' stores is missing.
         """
-        try:
-            content = json.loads(Path(file).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{file}: no simulations are stored there; type: studies simulate") from None
+        content = read_json(Path(file), _REMEDY)
+        if content is None:
+            raise InputError(f"{file}: no simulations are stored there; type: studies simulate")
         parts = content["experiments"]
         layout = Layout(
             tuple(content["parameters"]),
@@ -77,11 +77,11 @@ class JoinedStore(SimulationStore):
         return cls(file, stores, layout)
 
     def save(self) -> None:
-        """Write which stores these are; nothing where it is written already."""
+        """Write which stores these are; nothing where it is written already, and whole."""
         layout = self.layout
         content: dict[str, Any] = {
-            "parameters": layout.parameter_names,
-            "outputs": layout.output_names,
+            "parameters": [*layout.parameter_names],
+            "outputs": [*layout.output_names],
             "time_s": layout.time.tolist(),
             "experiments": [
                 {
@@ -94,9 +94,10 @@ class JoinedStore(SimulationStore):
                 for one, store in zip(layout.experiments, self.stores, strict=True)
             ],
         }
-        if not self.file.is_file():
-            with whole_file(self.file) as stream:
-                stream.write(json.dumps(content).encode())
+        with suppress(InputError):  # what is damaged is written anew
+            if read_json(self.file) == content:
+                return
+        write_json(self.file, content)
 
     @property
     def theta(self) -> FloatArray:

@@ -22,8 +22,7 @@ from studies.exports.calibrated_values import (
 )
 from studies.paths import ProjectPaths, folder_name
 from studies.project import FinishedCalibration, Project, best_by_label, changed_files
-from studies.results.provenance import FILE, case_of, read_provenance
-from studies.results.saved import read_json
+from studies.results.provenance import case_of, read_provenance
 from studies.results.trials import TrialView
 from studies.tracking.runs import load_surrogate, run_store
 from studies.words.wording import listed
@@ -151,7 +150,7 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
     spec = best.spec
     runs = run_store(project.paths)
     with tempfile.TemporaryDirectory(prefix="studies-onnx-") as scratch:
-        record = read_json(runs.fetch(best.run_id, FILE, Path(scratch))) or {}
+        record = runs.record(best.run_id, Path(scratch))
     made = read_provenance(record, f"MLflow's run {best.run_id}")
     case = case_of(project.paths, made, exactly=False)
     surrogate = load_surrogate(runs, best.run_id)

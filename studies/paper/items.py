@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from simulation.errors import InputError, MachineError
+from simulation.record_file import read_json, write_json
 from studies.paper import ITEMS
 from studies.paper.plan import Plan
 from studies.paths import size_name
 from studies.reporting.drawing import Figure, write_picture
 from studies.results.outcome import digest_of
-from studies.results.saved import plain, read_json, rebuilt, write_json
+from studies.results.saved import plain, rebuilt
 from studies.task import Task
 from studies.tracking.origin import versions
 from studies.words.wording import difference_unit

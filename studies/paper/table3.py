@@ -25,13 +25,14 @@ from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.pool.pool_model import PoolModel
+from simulation.record_file import read_json, write_json
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Recorder
 from studies.paper.items import Cell, Shown
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_3
 from studies.results.outcome import digest_of
-from studies.results.saved import read_json, rebuilt, write_json
+from studies.results.saved import rebuilt
 from studies.stages.knowledge import declared_inputs
 from studies.task import Task
 from studies.words.wording import square_of

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from simulation.errors import InputError
+from simulation.record_file import read_json
 from studies.paths import ProjectPaths
-from studies.results.saved import plain, read_arrays, read_json, rebuilt
+from studies.results.saved import Arrays, plain, read_arrays, rebuilt
 
 T = TypeVar("T")
 
@@ -58,6 +59,20 @@ def digest_of(inputs: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def read_manifest(folder: Path, stage: str) -> dict[str, Any] | None:
+    """Return what a stage has left, as JSON values; None where there is nothing.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    return read_json(folder / f"{stage}.json", _remedy(stage))
+
+
+def _remedy(stage: str) -> str:
+    """Return what to do where a file of a stage is damaged: its command is the first part of its name."""
+    return f"remove {stage}.json, and studies {stage.partition('-')[0]} makes it anew"
+
+
 def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
     """Read what a finished stage has left; None where there is nothing.
 
@@ -70,10 +85,15 @@ def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
         InputError: it cannot be read by this version, or its arrays are damaged.
     """
     file = folder / f"{stage}.json"
-    manifest, arrays = read_json(file), file.with_suffix(".npz")
+    manifest, arrays, kept = read_manifest(folder, stage), file.with_suffix(".npz"), Arrays()
+    while manifest is not None:
+        kept = read_arrays(arrays, _remedy(stage)) if arrays.is_file() else {}
+        # Another command may have replaced both meanwhile.
+        before, manifest = manifest, read_manifest(folder, stage)
+        if repr(manifest) == repr(before):  # NaN is NaN
+            break
     if manifest is None or "result" not in manifest:  # which an earlier version wrote
         return None
-    kept = read_arrays(arrays) if arrays.is_file() else {}
     result = rebuilt(kind, manifest["result"], str(file), kept)
     try:
         return Outcome(

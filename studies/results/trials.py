@@ -33,7 +33,6 @@ class TrialView:
         wall_s: duration of the training. [s]
         n_epochs: epochs trained.
         best_epoch: epoch whose weights were kept.
-        began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
         parts: what a mean is made of, whose leading trial this is then; none of a trial alone.
         reported: validation MAE by epoch, where trials are compared. [output's unit]
@@ -51,7 +50,6 @@ class TrialView:
     wall_s: float
     n_epochs: int
     best_epoch: int
-    began_s: float
     weights_sha256: str
     parts: tuple[MeanPart, ...] = ()
     reported: Mapping[int, float] = field(default_factory=dict)
@@ -80,6 +78,7 @@ class TunedStudy:
 
     Args:
         spec: what it was declared with.
+        number: Optuna's number of it; a later one has a larger one, whatever a clock says.
         n_planned: trials it shall have.
         trials: its places, in order.
         n_closed: trials that had ended when its best surrogate was registered; 0 before.
@@ -90,6 +89,7 @@ class TunedStudy:
     """
 
     spec: Declaration
+    number: int
     n_planned: int
     trials: tuple[TrialView, ...]
     n_closed: int = 0
@@ -286,11 +286,6 @@ class TunedStudy:
         """Return how many trials of one study have ended, without those that another one has, too."""
         return sum(one.spec.name == name and one.has_ended for one in self.trials)
 
-    @property
-    def began_s(self) -> float:
-        """When its first trial began. [s since 1970, UTC]."""
-        return min((trial.began_s for trial in self.trials if trial.began_s), default=0.0)
-
 
 def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
     """Return studies whose errors compare as one: an edited search space begins another study.
@@ -298,7 +293,7 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
     Args:
         studies: studies of equal data (see `Declaration.data`), at least one.
     """
-    *others, last = sorted(studies, key=lambda one: (not one.spec.is_confirmation, one.began_s))
+    *others, last = sorted(studies, key=lambda one: (not one.spec.is_confirmation, one.number))
     every, first = [trial for one in (*others, last) for trial in one.trials], dict[str, TrialView]()
     # A trained surrogate counts once: as the trial that it first was.
     for trial in sorted(every, key=lambda one: bool(one.carried_from)):
@@ -309,6 +304,7 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
     n_new = last.n_planned - sum(one.spec.name == last.spec.name for one in repeated)
     return TunedStudy(
         spec=last.spec,
+        number=last.number,
         n_planned=max(n_new, 0) + n_others,
         trials=kept,
         repeated=repeated,

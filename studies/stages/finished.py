@@ -8,8 +8,7 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
-from studies.results.outcome import Outcome, read_outcome
-from studies.results.saved import read_json
+from studies.results.outcome import Outcome, read_manifest, read_outcome
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.knowledge import is_current
 from studies.task import Task
@@ -57,7 +56,7 @@ def refuse_other_case(task: Task) -> None:
     """
     case, paths = task.case, task.paths
     for manifest in sorted(task.results.glob("*.json")):
-        recorded = (read_json(manifest) or {}).get("case_file")
+        recorded = (read_manifest(task.results, manifest.stem) or {}).get("case_file")
         other = paths.located(recorded)
         if other is None or other.resolve() == case.path.resolve() or _name_in(other) != case.name:
             continue

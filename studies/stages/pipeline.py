@@ -6,16 +6,17 @@ A stage leaves `<stage>.json`: its result, and what made it. Arrays of the resul
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from simulation.errors import InputError
+from simulation.file_lock import FileLock
+from simulation.record_file import write_json
 from simulation.write_gate import check_written
-from studies.results.outcome import Outcome, digest_of, read_outcome
-from studies.results.saved import arrays_of, plain, read_json, write_arrays, write_json
+from studies.results.outcome import Outcome, digest_of, read_manifest, read_outcome
+from studies.results.saved import arrays_of, plain, write_arrays
 from studies.task import Task
 from studies.tracking.origin import environment
 
@@ -89,6 +90,15 @@ class Stage(Generic[T]):
             )
             if not is_kept(result):
                 return replace(outcome, file=None)
+            self._store(outcome, files, log)
+        return outcome
+
+    def _store(
+        self, outcome: Outcome[T], files: Sequence[Path], log: Callable[[Task, Outcome[T]], None] | None
+    ) -> None:
+        """Write a result and its run in MLflow; one command at a time does so."""
+        task, result = self.task, outcome.result
+        with FileLock(self._lock):
             new = self.file.with_suffix(".new.npz")
             if arrays := arrays_of(result):
                 files = [*files, self.file.with_suffix(".npz")]
@@ -115,8 +125,7 @@ class Stage(Generic[T]):
             # It says that the stage is finished.
             write_json(self.file, manifest)
             self._begun_again.unlink(missing_ok=True)
-            self._log(log, outcome)
-        return outcome
+        self._log(log, outcome)
 
     @property
     def is_anew(self) -> bool:
@@ -128,14 +137,20 @@ class Stage(Generic[T]):
         return self.file.with_suffix(".again")
 
     @property
+    def _lock(self) -> Path:
+        return self.file.with_name(f".{self.name}.lock")
+
+    @property
     def _unlogged(self) -> Path:
         return self.file.with_suffix(".unlogged")
 
     def _log(self, log: Callable[[Task, Outcome[T]], None] | None, outcome: Outcome[T]) -> None:
         """Write the run in MLflow, unless that was done."""
         if log is not None and self._unlogged.is_file():
-            log(self.task, outcome)
-            self._unlogged.unlink(missing_ok=True)
+            with FileLock(self._lock):  # another command may just write it
+                if self._unlogged.is_file():
+                    log(self.task, outcome)
+                    self._unlogged.unlink(missing_ok=True)
 
     def _finished(self, *, again: bool) -> Outcome[T] | None:
         """Return what the stage came to before, and say so; None where it has to be done."""
@@ -146,18 +161,16 @@ class Stage(Generic[T]):
             return None
         root = self.task.paths.root
         try:
-            manifest = read_json(self.file) or {}
-        except InputError as damaged:
-            self.task.console.warn(f"{damaged}; {self.name} is done again")
-            return None
-        if manifest.get("digest") != self.digest:
-            return None
-        left = {root / name: size for name, size in manifest.get("files", {}).items()}
-        if not all(file.is_file() and file.stat().st_size == size for file, size in left.items()):
-            return None
-        outcome = None
-        with suppress(InputError):  # what cannot be read is done again
+            manifest = read_manifest(self.task.results, self.name) or {}
+            if manifest.get("digest") != self.digest:
+                return None
+            left = {root / name: size for name, size in manifest.get("files", {}).items()}
+            if not all(file.is_file() and file.stat().st_size == size for file, size in left.items()):
+                return None
             outcome = read_outcome(self.task.results, self.name, self.kind)
+        except InputError as unreadable:
+            self.task.console.warn(f"{unreadable}; {self.name} is done again")
+            return None
         if outcome is None or (self.task.retry_failed and getattr(outcome.result, "has_failures", False)):
             self.file.unlink(missing_ok=True)
             return None

@@ -13,6 +13,7 @@ from typing import Any
 
 from mlflow.models import Model
 
+from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.results.declaration import ALIAS
 from studies.server import Server
@@ -50,7 +51,11 @@ class Outbox:
         self._checked: set[str] = set()
         self._own = connect(paths.tracking_uri)
         self._there = mlflow.MlflowClient(server.uri, server.registry)
-        self._sent = SentRuns.read(paths, server)
+        try:
+            self._sent = SentRuns.read(paths, server)
+        except InputError as damaged:  # the server is asked
+            warn(f"{damaged}; it is written anew")
+            self._sent = SentRuns(server.uri)
         self._n_points: dict[tuple[str, str], int] = {}
 
     def send(self) -> int:

@@ -19,9 +19,11 @@ import pelsvae
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
+from simulation.record_file import read_json, with_checksum
 from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.results.declaration import ALIAS, UNEXPLAINED, Declaration
+from studies.results.provenance import FILE
 from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import (
@@ -185,7 +187,7 @@ class RunStore:
             MachineError: the store of artifacts refuses.
         """
         with storing_files(run_id):
-            self.client.log_dict(run_id, dict(record), "provenance.json")
+            self.client.log_dict(run_id, with_checksum(record), FILE)
 
     def fetch(self, run_id: str, name: str, folder: Path) -> Path:
         """Return where an artifact of a run lies, which is a copy in a folder if it is not on this disk.
@@ -204,6 +206,15 @@ class RunStore:
         except (mlflow.MlflowException, OSError) as error:
             line = next(iter(str(error).splitlines()), "")
             raise InputError(f"MLflow's run {run_id} has no {name} that can be read here ({line})") from None
+
+    def record(self, run_id: str, folder: Path) -> dict[str, Any]:
+        """Return what makes a run's result again, as JSON values; see `fetch`.
+
+        Raises:
+            InputError: the run has none that can be read here, or it is damaged.
+        """
+        remedy = f"restore it from a copy, or take another run than {run_id}"
+        return read_json(self.fetch(run_id, FILE, folder), remedy) or {}
 
     def end(self, run_id: str, status: RunStatus, *, end_s: float | None = None) -> None:
         """End a run."""

@@ -1,18 +1,14 @@
 """Which runs of a project lie on a server, and under which ids: read without MLflow."""
 
 import hashlib
-import json
-from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from simulation.foreign_file import Limit, read_text
-from simulation.whole_file import whole_file
+from simulation.record_file import read_json, write_json
 from studies.paths import ProjectPaths
 from studies.server import Server
 
-_SIZE = Limit("a list of runs on a server", 100)
+_REMEDY = "remove it, and the next command that simulates or tunes asks the server anew"
 
 
 @dataclass
@@ -33,17 +29,18 @@ class SentRuns:
 
     @classmethod
     def read(cls, paths: ProjectPaths, server: Server) -> "SentRuns":
-        """Read what was noted; nothing where that is missing or damaged: then the server is asked."""
-        found: Mapping[str, Any] = {}
-        with suppress(ValueError, OSError):  # an InputError is a ValueError
-            found = json.loads(read_text(_file(paths, server), _SIZE))
-        known = {name: found[name] for name in ("experiments", "runs", "models") if name in dict(found)}
+        """Read what was noted; nothing where that is missing: then the server is asked.
+
+        Raises:
+            InputError: it is damaged.
+        """
+        found = read_json(_file(paths, server), _REMEDY) or {}
+        known = {name: found[name] for name in ("experiments", "runs", "models") if name in found}
         return cls(server.uri, **{name: one for name, one in known.items() if isinstance(one, dict)})
 
     def write(self, paths: ProjectPaths, server: Server) -> None:
         """Note it in the project."""
-        with whole_file(_file(paths, server)) as stream:
-            stream.write(json.dumps(asdict(self)).encode())
+        write_json(_file(paths, server), asdict(self))
 
     def id_of(self, run_id: str) -> str:
         """Return the id on the server of a run of the project; "" where it is not there."""

@@ -33,7 +33,7 @@ class ForkedWorker:
     Args:
         paths: the project.
         names: names of the studies.
-        until_s: no trial begins after this moment. [s since 1970, UTC]
+        until_s: no trial begins after this moment of `time.monotonic`. [s]
         n_threads: folds of a cross-validation that it trains at once.
 
     Attributes:

@@ -73,14 +73,22 @@ def storage_of(paths: ProjectPaths) -> Iterator[RDBStorage]:
 
 
 @contextmanager
-def study_locked(storage: RDBStorage, paths: ProjectPaths, name: str) -> Iterator[Callable[[], None]]:
+def study_locked(
+    storage: RDBStorage, paths: ProjectPaths, name: str, *, file: str = ".optuna.lock"
+) -> Iterator[Callable[[], None]]:
     """Let one worker of a study at a time begin a trial, so that no study gets a trial too many.
+
+    Args:
+        storage: the project's.
+        paths: the project.
+        name: the study, or what else one process at a time may do.
+        file: the lock where the storage is a file; whoever opens that holds the usual one.
 
     Yields:
         a function that gives the lock back early.
     """
     if paths.storage is None:
-        with FileLock(paths.mlruns / ".optuna.lock") as lock:
+        with FileLock(paths.mlruns / file) as lock:
             yield lock.release
         return
     from sqlalchemy import Connection, text

@@ -1,13 +1,17 @@
 """What the studies of a project have come to, read from Optuna alone: for tables, figures and programs."""
 
+import json
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
+from simulation.errors import InputError
+from simulation.foreign_text import shortened
 from studies.paths import ProjectPaths
 from studies.results.best_mean import BestMean
 from studies.results.declaration import Declaration
@@ -18,6 +22,7 @@ from studies.tuning import attempts
 from studies.tuning.storage import storage_of
 
 MIN_FOR_IMPORTANCE = 4
+_MOST = 1e12
 
 
 def read_study(study: optuna.Study) -> TunedStudy:
@@ -25,13 +30,16 @@ def read_study(study: optuna.Study) -> TunedStudy:
 
     Raises:
         InputError: it was made by another program or version.
+        ValueError: it holds what this program has not written.
     """
     attrs, spec = study.user_attrs, attempts.declaration_of(study)
+    json.dumps(attrs, ensure_ascii=False).encode()  # which half a character has no form in
     mean = attrs.get(attempts.MEAN)
     places = attempts.places(study.get_trials(deepcopy=False))
     return TunedStudy(
         spec=spec,
-        n_planned=int(attrs.get(attempts.PLANNED, 0)),
+        number=study._study_id,
+        n_planned=int(_bounded(attrs.get(attempts.PLANNED, 0))),
         trials=tuple(_view(spec, trial) for trial in places),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
         gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
@@ -49,11 +57,14 @@ def read_studies(
         paths: the project.
         label: only those of a label.
         n_train: only those of a training-set size.
+
+    Raises:
+        InputError: the database is no longer as this program and Optuna have written it.
     """
     if paths.storage is None and not paths.optuna_database.is_file():
         return []
     found = []
-    with storage_of(paths) as storage:
+    with storage_of(paths) as storage, _readable(paths):
         for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
             declared = study.user_attrs.get(attempts.DECLARATION)
             # The label first: to read a study means to read all its trials.
@@ -64,8 +75,23 @@ def read_studies(
             # Those of before have no project.
             if declared.get("project", "") in ("", paths.identity):
                 found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
-    found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s))
+    found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.number))
     return found
+
+
+@contextmanager
+def _readable(paths: ProjectPaths) -> Iterator[None]:
+    """Say in a line that studies cannot be read: what a stranger wrote reaches all of Optuna."""
+    try:
+        yield
+    except (InputError, OSError):
+        raise
+    except Exception as error:
+        where = paths.show(paths.optuna_database) if paths.storage is None else paths.storage
+        said = shortened(next(iter(str(error).splitlines()), "") or type(error).__name__)
+        raise InputError(
+            f"{where}: a study or trial in it is damaged ({said}); restore it from a copy, or move it away"
+        ) from error
 
 
 def of_project(specs: Sequence[Declaration], paths: ProjectPaths) -> list[Declaration]:
@@ -97,7 +123,7 @@ def latest_studies(
 def joined_studies(studies: Iterable[TunedStudy]) -> list[TunedStudy]:
     """Return the studies of equal data as one each, those with which work went on last at the end."""
     equal: dict[tuple[Any, ...], list[TunedStudy]] = {}
-    for one in sorted(studies, key=lambda one: one.began_s):
+    for one in sorted(studies, key=lambda one: one.number):
         key = (one.spec.is_baseline, *one.spec.data)
         equal[key] = [*equal.pop(key, []), one]
     return [joined(one) for one in equal.values()]
@@ -113,6 +139,10 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
     # The worker notes a sampler only where it proposed from results.
     usual = "" if trial.state == TrialState.WAITING else "start-up"
     state = "failed" if trial.state == TrialState.FAIL else trial.state.name.lower()
+    if trial.state == TrialState.COMPLETE:
+        if trial.value is None:
+            raise ValueError(f"trial {trial.number} is complete without a value")
+        spec.config(trial.params)  # which raises a ValueError where these are none of its surrogate's
     return TrialView(
         spec=spec,
         number=trial.number,
@@ -125,14 +155,20 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         metrics=errors_of(state, trial.value, trial.user_attrs),
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),
         proposed_by=str(trial.user_attrs.get("proposed_by", usual)),
-        wall_s=float(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),
-        n_epochs=int(training.get("n_epochs", trial.last_step or 0)),
-        best_epoch=int(training.get("best_epoch", 0)),
-        began_s=began,
+        wall_s=_bounded(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),
+        n_epochs=int(_bounded(training.get("n_epochs", trial.last_step or 0))),
+        best_epoch=int(_bounded(training.get("best_epoch", 0))),
         weights_sha256=str(training.get("weights_sha256", "")),
         reported=dict(trial.intermediate_values),
         carried_from=str(trial.user_attrs.get(attempts.CARRIED, "")),
     )
+
+
+def _bounded(value: Any) -> float:
+    """Return a duration or a count; sums of larger ones would not be finite."""
+    if not 0.0 <= (number := float(value)) < _MOST:
+        raise ValueError(f"{number:g} is no duration or count")
+    return number
 
 
 def importances(

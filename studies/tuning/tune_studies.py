@@ -96,7 +96,15 @@ class _Part:
             attempts.begin_last(self.study, self.spec, best)
 
     def close(self, on_warning: OnLine, on_news: OnLine) -> TunedStudy:
-        """Register the best surrogate of all studies of equal data, and end the run of this one."""
+        """Register the best surrogate of all studies of equal data, and end the run of this one.
+
+        One command at a time does so: another one finds mean and version, and makes no second ones.
+        """
+        which = f"{self.spec.project}/{self.spec.label}/{self.spec.size} closes"
+        with study_locked(self.storage, self.paths, which, file=".closing.lock"):
+            return self._close(on_warning, on_news)
+
+    def _close(self, on_warning: OnLine, on_news: OnLine) -> TunedStudy:
         every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
         (found,) = joined_studies(one for one in every if one.spec.has_equal_data(self.spec))
         if self.spec.is_confirmation:  # its trials count with those that they confirm
@@ -291,7 +299,7 @@ def tune(
         n_trials: trials per study in total; a baseline has one.
         n_jobs: worker processes.
         n_parallel: workers of one study.
-        until_s: no trial begins after this moment. [s since 1970, UTC]
+        until_s: no trial begins after this moment of `time.monotonic`. [s]
         confirm: what is trained with further seeds when the trials of a size have ended.
         provenance: what makes the data sets again, kept with every trial.
         on_trials: called with the trials of a study that is worked on, about twice a second.
@@ -326,7 +334,7 @@ def tune(
             while True:
                 for size in largest_first:
                     size.look_after_workers()
-                is_late = until_s is not None and time.time() >= until_s
+                is_late = until_s is not None and time.monotonic() >= until_s
                 n_free = n_jobs - sum(len(one.workers) for one in largest_first)
                 # Trials are read where a worker may begin: to read them takes time from those that train.
                 may_begin = bool(n_free) and not is_late

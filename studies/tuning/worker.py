@@ -69,9 +69,9 @@ class Worker:
         """Run trials until the study has as many as planned.
 
         Args:
-            until_s: no trial begins after this moment. [s since 1970, UTC]
+            until_s: no trial begins after this moment of `time.monotonic`. [s]
         """
-        while until_s is None or time.time() < until_s:
+        while until_s is None or time.monotonic() < until_s:
             with study_locked(self._storage, self._paths, self._spec.name) as release:
                 attempts.retry_lost(self._study)
                 allowed = attempts.n_allowed(self._study)
@@ -225,7 +225,7 @@ def run_studies(
     Args:
         paths: the project; None for that of the working folder.
         names: names of the studies.
-        until_s: no trial begins after this moment. [s since 1970, UTC]
+        until_s: no trial begins after this moment of `time.monotonic`. [s]
         n_threads: folds of a cross-validation that are trained at once.
 
     Returns:

@@ -8,12 +8,10 @@ otherwise.
 
 import argparse
 import contextlib
-import hashlib
 import itertools
 import json
 import os
 import random
-import re
 import shutil
 import sqlite3
 import subprocess
@@ -21,15 +19,15 @@ import sys
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import psutil
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT)]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from held_for_tests import half_files, held, numbers_of, open_runs, wrong_of  # noqa: E402
 
 STUDY = ("wall", "--profile", "smoke", "--jobs", "2", "-q")
 # In this order, each begins where the one before it ended.
@@ -49,11 +47,6 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("run", *STUDY, "--seed", "1"),
 )
 GRACE_S, LIMIT_S = 60.0, 1800.0
-# Beside times and places: of the rows that a stage asked for, how many were stored before, and how many not.
-COUNTS_OF_THIS_TIME = ("n_reused", "n_simulated")
-VOLATILE = (
-    "wall", "environment", "run_id", "finished", "provenance", "per_second", "_s", *COUNTS_OF_THIS_TIME,
-)  # fmt: skip
 
 
 class Watched:
@@ -106,96 +99,6 @@ def marked(mark: str) -> list[int]:
             if mark.encode() in place.read_bytes():
                 found.append(int(place.parent.name))
     return found
-
-
-def numbers_of(value: Any) -> Any:
-    """Return a record without what differs each time."""
-    if isinstance(value, dict):
-        return {k: numbers_of(v) for k, v in value.items() if not k.endswith(VOLATILE) and "wall" not in k}
-    return [numbers_of(one) for one in value] if isinstance(value, list) else value
-
-
-def record_of(content: dict[str, Any]) -> Any:
-    """Return what must be equal of a record, or of a stage's manifest."""
-    if "stage" not in content:
-        return numbers_of(content)
-    if content["stage"] == "check":
-        # It says how long a simulation took, "0.461 ms per simulation", and how many fitted into a time.
-        for finding in content["result"]["findings"]:
-            finding["found"] = re.sub(r"[\d.]+ (ms|s|min|h|simulations)\b", "some", finding["found"])
-    # The report's digest is one of whole files, measured times included: it differs without a kill as well.
-    parts = ("stage", "result") if content["stage"] == "report" else ("stage", "result", "digest")
-    return numbers_of({part: content[part] for part in parts})
-
-
-def differences(one: Any, other: Any, place: str = "") -> Iterator[str]:
-    """Say where two records differ."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in sorted({*one, *other}, key=str):
-            yield from differences(one.get(key), other.get(key), f"{place}/{key}")
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        for number, pair in enumerate(zip(one, other, strict=True)):
-            yield from differences(*pair, f"{place}[{number}]")
-    elif one != other and not (one != one and other != other):  # NaN is NaN
-        yield f"{place} is {str(other)[:200]}, not {str(one)[:200]}"
-
-
-def held(project: Path) -> dict[str, Any]:
-    """Return the numbers, rows, trials and files that a project holds."""
-    import optuna
-
-    found: dict[str, Any] = {}
-    for file in sorted((project / "mlruns" / "results").rglob("*")):
-        name = str(file.relative_to(project))
-        if file.suffix == ".json":
-            found[name] = record_of(json.loads(file.read_text()))
-        elif file.suffix == ".npz":
-            with np.load(file) as arrays:
-                found[name] = {
-                    key: hashlib.sha256(arrays[key].tobytes()).hexdigest()
-                    for key in arrays.files
-                    if not key.endswith(VOLATILE)
-                }
-    given = [file for place in ("fmus", "data") for file in (project / place).rglob("*")]
-    for file in [*given, *(project / "mlruns" / "reports").rglob("*")]:
-        if file.is_file() and "generated" not in file.parts:
-            content = hashlib.sha256(file.read_bytes()).hexdigest() if file in given else "there"
-            found.setdefault(str(file.relative_to(project)), content)
-    rows = set[tuple[Any, ...]]()
-    for file in (project / "data").rglob("*.db"):
-        with contextlib.closing(sqlite3.connect(file)) as database:
-            # The checksum is one of the parameters, the failure and all outputs.
-            query = "select _theta, _failure, _check from simulations"
-            rows |= {(file.name, *row) for row in database.execute(query)}
-    found["rows"] = rows
-    if (project / "mlruns" / "optuna.db").is_file():
-        storage = optuna.storages.RDBStorage(f"sqlite:///{project}/mlruns/optuna.db")
-        for study in storage.get_all_studies():
-            trials = storage.get_all_trials(study._study_id)
-            ended = [one for one in trials if one.state.is_finished() and one.state.name != "FAIL"]
-            found[f"trials of {study.study_name}"] = sorted(
-                (str(sorted(one.params.items())), one.state.name, str(one.values)) for one in ended
-            )
-        storage.remove_session()
-        storage.engine.dispose()
-    return found
-
-
-def open_runs(project: Path) -> list[str]:
-    """Return the names of MLflow's runs that have not ended."""
-    file = project / "mlruns" / "mlflow.db"
-    if not file.is_file():
-        return []
-    with contextlib.closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
-        query = "SELECT name FROM runs WHERE status = 'RUNNING' AND lifecycle_stage = 'active'"
-        return [str(name) for (name,) in database.execute(query)]
-
-
-def half_files(project: Path, scratch: Path) -> list[str]:
-    """Return what should not be there once a command has ended."""
-    left = [str(file) for file in scratch.iterdir()] if scratch.is_dir() else []
-    names = ("*.tmp", "*.part", "*.partial", "*-making", "*.db-journal")
-    return left + [str(one) for name in names for one in project.rglob(name)]
 
 
 def attacked(
@@ -252,12 +155,6 @@ def check_that_it_sees(project: Path, after: dict[str, Any]) -> None:
         seen = wrong_of(after, held(copy))
         for what in ("1 rows lost", "calibrate-adaptive.json/result/mse", "trials of "):
             assert any(what in one for one in seen), f"not seen: {what}"
-
-
-def wrong_of(after: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Say what a project lacks, or has otherwise, of what it should hold."""
-    lost = after["rows"] - now["rows"]
-    return [f"{len(lost)} rows lost"] * bool(lost) + [*differences(after | {"rows": 0}, now | {"rows": 0})]
 
 
 def is_finished_before(words: tuple[str, ...], code: int, said: str) -> bool:

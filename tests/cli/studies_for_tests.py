@@ -1,6 +1,7 @@
 """Studies without a training: trials added to Optuna, and calibrations, where real ones lie."""
 
 import tomllib
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,11 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.config import VARIANTS
+from simulation.record_file import write_json
 from studies.calibration.ledger import Ledger
 from studies.paths import ProjectPaths
 from studies.results.declaration import Declaration
-from studies.results.saved import arrays_of, plain, write_arrays, write_json
+from studies.results.saved import arrays_of, plain, write_arrays
 from studies.results.stage_results import Calibration
 from studies.tuning.attempts import DECLARATION, PLANNED, RUN_ID
 from studies.tuning.storage import open_storage
@@ -67,16 +69,27 @@ def declared_baseline(label: str, n_train: int, **changes: Any) -> Declaration:
 
 
 def write_study(
-    root: Path, spec: Declaration, *, n_trials: int, n_planned: int | None = None
+    root: Path,
+    spec: Declaration,
+    *,
+    n_trials: int,
+    n_planned: int | None = None,
+    clock: timedelta = timedelta(),
 ) -> optuna.Study:
-    """Add the trials of a study to Optuna: the first complete, every sixth pruned, every tenth failed."""
+    """Add the trials of a study to Optuna: the first complete, every sixth pruned, every tenth failed.
+
+    The machine's clock is ahead by `clock`.
+    """
     study = optuna.create_study(storage=open_storage(ProjectPaths(root)), study_name=spec.name)
     study.set_user_attr(DECLARATION, spec.to_dict())
     study.set_user_attr(PLANNED, n_trials if n_planned is None else n_planned)
     random = np.random.default_rng((spec.seed, spec.n_train))
     for index in range(n_trials):
         error = float(0.2 + random.gamma(4.0) / np.sqrt(spec.n_train))
-        study.add_trial(ended_trial(spec, index, error, n_latent=int(2 ** random.integers(3, 7))))
+        trial = ended_trial(spec, index, error, n_latent=int(2 ** random.integers(3, 7)))
+        assert trial.datetime_start is not None
+        trial.datetime_start += clock
+        study.add_trial(trial)
     return study
 
 

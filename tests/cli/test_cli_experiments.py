@@ -13,6 +13,8 @@ from project_for_tests import Run, add_case, copy_of, edit, make_project, stored
 
 from simulation.case import load_case
 from studies.cli import main
+from studies.paths import ProjectPaths
+from studies.physical_model import store_file
 from studies.results.saved import read_arrays
 
 EXPERIMENTS = """
@@ -222,3 +224,17 @@ maxiter = 5
 [polish]
 max_calls = 30
 """
+
+
+def test_a_damaged_list_of_the_experiments_stores_is_written_anew(project: Path, studies: Run) -> None:
+    file = store_file(ProjectPaths(project), load_case(project / "fmus" / "wall"))
+    simulate = ("simulate", "wall", "--profile", "smoke", "--jobs", "1", "--json")
+    before, whole, rng = studies(*simulate).stage, file.read_bytes(), np.random.default_rng(0)
+    for _ in range(3):
+        damaged, place = bytearray(whole), int(rng.integers(8 * len(whole)))
+        damaged[place // 8] ^= 1 << place % 8
+        file.write_bytes(damaged)
+        after = studies(*simulate).stage
+        assert after["digests"] == before["digests"]
+        assert after["n_reused"] == sum(after["n"].values())
+        assert json.loads(file.read_bytes()) == json.loads(whole)

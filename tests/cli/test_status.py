@@ -7,6 +7,8 @@ import struct
 import subprocess
 import sys
 import termios
+from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +26,9 @@ from studies_for_tests import (
     write_study,
 )
 
+from simulation.record_file import read_json, write_json
 from studies.calibration.ledger import Ledger
 from studies.results.provenance import file_digest
-from studies.results.saved import read_json, write_json
 
 OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 
@@ -225,6 +227,19 @@ def test_best_shows_results_of_unchanged_files_first_whatever_a_clock_says(
     # Where none is unchanged, the one of the latest data.
     case.write_text(case.read_text("utf-8") + "# another thought\n", "utf-8")
     assert studies("best", "wall", "--json").document["calibrations"][0]["name"] == "wall-quick-0-9/adaptive"
+
+
+def test_the_latest_study_is_that_which_was_made_last_whatever_a_clock_says(
+    project: Path, studies: Run
+) -> None:
+    """It may have been made on a machine whose clock is an hour late, or after this one's was set back."""
+    first = declared("office-quick", 64)
+    last = replace(first, digests=first.digests | {"test": "a" * 64})
+    other = declared("office-thorough", 64)
+    for hours, spec in ((2, other), (0, first), (-1, last)):
+        write_study(project, spec, n_trials=2, clock=timedelta(hours=hours))
+    found = studies("best", "--json").document["sizes"]
+    assert [one["study"] for one in found] == [last.name, other.name]
 
 
 def test_status_loads_nothing_that_trains_or_simulates(project: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulation.errors import InputError
-from studies.results.saved import CHECKSUM, read_json, write_json
+from simulation.record_file import CHECKSUM, read_json, write_json
 
 CONTENT = {"b": [1, 0.1, None, True, float("inf")], "a": {"umlaut": "ä", "place": Path("x/y")}, "c": ""}
 READ = {**CONTENT, "a": {"umlaut": "ä", "place": "x/y"}}
