@@ -5,6 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.errors import InputError
 from studies.api.verb import shown, verb
 from studies.paths import find_case, find_project
 from studies.server import LOCAL
@@ -135,13 +136,15 @@ def compare(
         tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
 
     Raises:
-        InputError: Nothing, or more than one label, is called so.
+        InputError: Nothing, or more than one label, is called so, or both are one.
     """
     from studies.comparison import compared_sizes, label_called
     from studies.project import read_project
 
     project = read_project(find_project(storage, tracking))
     labels = label_called(project, first), label_called(project, second)
+    if labels[0] == labels[1]:
+        raise InputError(f"{first!r} and {second!r} are both {labels[0]}; give two labels or profiles")
     return ComparisonResult(labels, tuple(compared_sizes(project, labels)))
 
 

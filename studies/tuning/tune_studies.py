@@ -263,8 +263,8 @@ class _Size:
 
 
 def _carried_words(n_train: int, n_carried: int, n_planned: int) -> str:
-    words = f"n_train {n_train}: {n_carried} of {n_planned} trials are carried over from before the search "
-    words += "space was edited; they count and are not trained again"
+    words = f"n_train {n_train}: carried over from before the search space was edited: {n_carried} of "
+    words += f"{n_planned} trials, which count and are not trained again"
     is_full = n_carried >= n_planned
     return words + (f"; --trials {n_carried + n_planned} trains {n_planned} more" if is_full else "")
 

@@ -104,7 +104,7 @@ def test_in_python_it_is_a_table() -> None:
     assert table.loc[128, "better"] == "office-thorough"
 
 
-@pytest.mark.parametrize("words", [("quick", "slow"), ("quick", "office")])
+@pytest.mark.parametrize("words", [("quick", "slow"), ("quick", "office"), ("office-quick", "quick")])
 @pytest.mark.usefixtures("project")
 def test_a_name_that_means_no_label_or_several_is_refused(studies: Run, words: tuple[str, str]) -> None:
     answer = studies("compare", *words)

@@ -64,7 +64,7 @@ def test_trials_inside_an_edited_search_space_are_taken_along_and_not_trained_ag
     # They count: six trials, each of which was trained once.
     assert len(after) == N
     assert len(runs_of(begun, LABEL, role="trial")) == N + N - len(expected)
-    assert f"{len(expected)} of {N} trials are carried over" in said[0]
+    assert f"carried over from before the search space was edited: {len(expected)} of {N}" in said[0]
     assert found.n_ended == found.n_planned == N + N - len(expected)
     assert found.of(edited.name).n_ended == N
     assert closed_studies([edited], begun, N) is not None
@@ -84,7 +84,7 @@ def test_the_best_surrogate_may_be_one_that_was_carried_over(begun: ProjectPaths
     assert found.model_uri == before.model_uri
     assert found.n_ended == N
     assert said == [
-        f"n_train 16: {N} of {N} trials are carried over from before the search space was edited; they count "
+        f"n_train 16: carried over from before the search space was edited: {N} of {N} trials, which count "
         f"and are not trained again; --trials {2 * N} trains {N} more"
     ]
     # Carried over once more, each is still the trial that it first was.

@@ -142,9 +142,11 @@ def fixed_profile(tmp_path: Path, fixed: str, *, surrogate: str = "state-space")
 
 
 def test_a_fixed_setting_is_not_searched(tmp_path: Path) -> None:
-    budget = load_profile(str(fixed_profile(tmp_path, "decoder = 'layers'\nbeta = 7.0"))).tuning
+    budget = load_profile(
+        str(fixed_profile(tmp_path, "decoder = 'layers'\nbeta = 7.0\nn_latent = 16"))
+    ).tuning
     assert set(budget.space) == {"n_hidden"}
-    assert budget.fixed == {"decoder": "layers", "beta": 7.0}
+    assert budget.fixed == {"decoder": "layers", "beta": 7.0, "n_latent": 16}
 
 
 @pytest.mark.parametrize(
