@@ -8,10 +8,10 @@ import pytest
 from project_for_tests import Run
 from studies_for_tests import SPACE, declared, write_study
 
+from simulation.record_file import write_json
 from studies import InputError, compare
 from studies.paths import ProjectPaths
 from studies.results.declaration import Declaration
-from studies.results.saved import write_json
 from studies.tuning.attempts import CONFIRMATION, DECLARATION, PROPOSED_BY, RUN_ID
 from studies.tuning.storage import open_storage
 
