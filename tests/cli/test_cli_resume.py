@@ -65,8 +65,9 @@ def results(project: Path) -> dict[str, Any]:
 def calibration(file: Path) -> dict[str, Any]:
     """Return the result of a calibration, without what names the run of its surrogate and its own work."""
     numbers: dict[str, Any] = json.loads(file.read_text())["result"]
-    # A trial that was killed and run again has another number and another run.
-    del numbers["screening"]["run_id"], numbers["screening"]["trial"]
+    # A trial that was killed and run again has another number, which names a mean too, and another run.
+    for name in ("run_id", "trial", "model"):
+        del numbers["screening"][name]
     # Rows that a killed command has stored are neither simulated nor repeated again.
     del numbers["n_simulated"], numbers["n_repeated"]
     return numbers
