@@ -196,8 +196,10 @@ def main() -> int:
                 # MLflow's page would stay open where nothing is wrong with its store.
                 if command not in (chosen.command or ALL) or (command == "ui" and which.startswith("Optuna")):
                     continue
+                # Beside links it makes a folder of its own.
+                right = (0, *codes) if command == "new" else codes
                 with tempfile.TemporaryDirectory(dir=name) as folder:
-                    wrong = wrong_of(base, words, trap, codes, Path(folder))
+                    wrong = wrong_of(base, words, trap, right, Path(folder))
                 n_tried, n_wrong = n_tried + 1, n_wrong + bool(wrong)
                 print(f"{which}; {command}: {f'WRONG {wrong}' if wrong else 'good'}", flush=True)
     print(f"{n_tried} tried: {f'{n_wrong} BAD' if n_wrong else 'good'}")

@@ -97,15 +97,14 @@ def test_a_surrogate_is_named(project: Path, studies: Run) -> None:
     assert "train or copy it again" in answer.err
 
 
-def test_a_list_of_sent_runs_is_named(project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_list_of_sent_runs_is_named(project: Path, studies: Run) -> None:
     uri = "http://127.0.0.1:9"
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
     give_identity(project / "studies.toml")
     paths, server = ProjectPaths(project), Server(uri, uri)
     SentRuns(uri, {"office-smoke": "7"}, {"a" * 32: {"id": "b" * 32}}).write(paths, server)
     assert SentRuns.read(paths, server).id_of("a" * 32) == "b" * 32
     (file,) = project.glob("mlruns/sent/*.json")
-    assert_named(studies, file, "best", "--json", remedy="asks the server anew")
+    assert_named(studies, file, "best", "--json", "--tracking", uri, remedy="asks the server anew")
     content = json.loads(file.read_bytes())
     del content["checksum"]  # as earlier versions wrote it
     file.write_text(json.dumps(content))
