@@ -84,7 +84,7 @@ def begun(project: Path, words: tuple[str, ...], before: tuple[str, ...] = ()) -
 def answered(process: "subprocess.Popen[str]") -> str:
     """Wait for a command that goes well, and return what it said on standard error."""
     _, said = process.communicate(timeout=LIMIT_S)
-    assert process.returncode == 0, said
+    assert process.returncode == 0, f"{process.args}: exit code {process.returncode}: {said}"
     return said
 
 

@@ -174,7 +174,7 @@ def check_that_it_sees(base: Path, folder: Path) -> None:
     os.environ[FOLLOW_VARIABLE] = "1"
     seen = wrong_of(base, ALL["calibrate"], files_become_links, (0,), folder)
     del os.environ[FOLLOW_VARIABLE]
-    assert any(one.startswith("changed: mlruns/mlflow.db") for one in seen), seen
+    assert any(one.startswith("changed: ") for one in seen), seen
     assert not shutil.which("strace") or any("O_RDWR" in one for one in seen), seen
 
 
