@@ -92,6 +92,7 @@ def best_mean(
             runs,
             spec,
             parent=parent,
+            leading=max(parts, key=lambda one: one.share).run_id,
             params={"model": in_words(parts), **params},
             metrics={**errors, **shares},
             record=about,

@@ -67,7 +67,7 @@ def give_what_commands_name(project: Path) -> None:
     (project / "next-winter.csv").write_text(winter, "utf-8")
     profile = (ROOT / "studies" / "profiles" / "quick.toml").read_text("utf-8")
     small = profile.replace("[32, 64, 128, 256, 512]", "[32]").replace(
-        "n_trials = 8", "max_epochs = 5\nn_trials = 1"
+        "n_trials = 12", "max_epochs = 5\nn_trials = 1"
     )
     for name, surrogate in (("my", "state-space"), ("pca-gp", "pca-gp")):
         text = small.replace('name = "quick"', f'name = "{name}"')
