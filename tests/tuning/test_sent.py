@@ -67,8 +67,8 @@ def runs_there(uri: str, paths: ProjectPaths) -> dict[str, Any]:
     return {run.data.tags[RUN]: run for run in found}
 
 
-def assert_equal_there(uri: str, paths: ProjectPaths, *, with_curves: bool = False) -> None:
-    """Check that a server has all runs of a project as the project has them; each curve is a question."""
+def assert_equal_there(uri: str, paths: ProjectPaths) -> None:
+    """Check that a server has all runs of a project as the project has them."""
     own, client = connect(paths.tracking_uri), mlflow.MlflowClient(uri, uri)
     there = runs_there(uri, paths)
     here = {run.info.run_id: run for run in runs_of(paths, LABEL)}
@@ -85,7 +85,7 @@ def assert_equal_there(uri: str, paths: ProjectPaths, *, with_curves: bool = Fal
         }
         if parent := run.data.tags.get("mlflow.parentRunId"):
             assert sent.data.tags["mlflow.parentRunId"] == there[parent].info.run_id
-        for name in run.data.metrics if with_curves else ():
+        for name in run.data.metrics:
             curves = [c.get_metric_history(i, name) for c, i in ((own, run_id), (client, sent.info.run_id))]
             mine, theirs = ([(point.step, point.value, point.timestamp) for point in one] for one in curves)
             assert sorted(theirs) == sorted(mine)
@@ -105,7 +105,7 @@ def test_runs_curves_artifacts_and_models_are_on_the_server(
     client = connect(copied.tracking_uri)
     for run in runs_of(copied, LABEL):  # so that both have the same tags
         client.set_tag(run.info.run_id, "team", "halls")
-    assert_equal_there(server.uri, paths, with_curves=True)
+    assert_equal_there(server.uri, paths)
     assert send(paths) == []
     assert_equal_there(server.uri, paths)
     best = [run for run in there.values() if run.data.tags.get("best") == "yes"]
@@ -193,7 +193,7 @@ def test_a_killed_server_costs_no_trial_and_no_run(project: ProjectPaths, server
     with runs_sent(said.append):
         begin_sending(paths)
     assert len(said) == 1, said
-    assert_equal_there(server.uri, paths, with_curves=True)
+    assert_equal_there(server.uri, paths)
 
 
 def test_a_server_with_a_password(
