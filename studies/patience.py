@@ -60,7 +60,7 @@ def waited_for(call: Callable[..., T], *args: Any, **kwargs: Any) -> T:
             why = _why_away(error)
             if not why:
                 # Optuna's own words of what its database said say nothing; notes come last.
-                for cause in (*_chain(error),)[1:]:
+                for cause in _chain(error.__cause__):
                     error.add_note(f"{type(cause).__name__}: {next(iter(str(cause).splitlines()), '')}")
                 raise
             if time.monotonic() - began >= WAIT_S:

@@ -3,19 +3,52 @@
 import contextlib
 import hashlib
 import json
+import os
 import re
 import sqlite3
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+REPOSITORY = Path(__file__).resolve().parents[1]
 # Beside times and places: of the rows that a stage asked for, how many were stored before, and how many not.
 COUNTS_OF_THIS_TIME = ("n_reused", "n_simulated")
 VOLATILE = (
     "wall", "environment", "run_id", "finished", "provenance", "per_second", "_s", *COUNTS_OF_THIS_TIME,
 )  # fmt: skip
+
+
+def begun_in(
+    project: Path,
+    words: tuple[str, ...],
+    scratch: Path,
+    own: Mapping[str, str],
+    *,
+    before: tuple[str, ...] = (),
+) -> "subprocess.Popen[str]":
+    """Begin a command in a project, with a temporary folder and variables of its own.
+
+    Args:
+        project: Where it is typed.
+        words: The command.
+        scratch: Its temporary folder, which is made.
+        own: More of its environment.
+        before: A program that starts it.
+    """
+    scratch.mkdir(exist_ok=True)
+    return subprocess.Popen(
+        [*before, sys.executable, "-P", "-m", "studies", *words],
+        cwd=project,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), "TMPDIR": str(scratch), **own},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def numbers_of(value: Any) -> Any:

@@ -1,19 +1,16 @@
 """Two commands at once in one project, and what is wrong with it afterwards."""
 
-import os
 import shutil
 import sqlite3
 import subprocess
-import sys
 from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from held_for_tests import half_files, held, open_runs, wrong_of
+from held_for_tests import REPOSITORY, begun_in, half_files, held, open_runs, wrong_of
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 LIMIT_S = 600.0
 PROFILE = """schema = 1
 name = "tiny"
@@ -67,18 +64,8 @@ def make_base(root: Path) -> None:
 
 def begun(project: Path, words: tuple[str, ...], before: tuple[str, ...] = ()) -> "subprocess.Popen[str]":
     """Begin a command in a project, perhaps under another program."""
-    scratch = project.parent / "tmp"
-    scratch.mkdir(exist_ok=True)
-    own = {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1", "TMPDIR": str(scratch)}
-    return subprocess.Popen(
-        [*before, sys.executable, "-P", "-m", "studies", *words],
-        cwd=project,
-        env=os.environ | own,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    own = {"OMP_NUM_THREADS": "1"}
+    return begun_in(project, words, project.parent / "tmp", own, before=before)
 
 
 def answered(process: "subprocess.Popen[str]") -> str:

@@ -89,6 +89,7 @@ class Solver:
         self._seen = np.concatenate(
             [self.inputs[steps][np.maximum(reported - 1, 0)] for steps, reported in self._experiments]
         )
+        self._shape_of_reported = (len(self._seen), drive.n_outputs)
         # Which reported output each value of a trajectory is; a shorter experiment keeps its last values,
         # as simulated rows do.
         self._source = np.empty((n_times, drive.columns.size), dtype=np.int64)
@@ -123,7 +124,7 @@ class Solver:
         exponential, gains = np.empty((r, s, s, n), np.float32), np.empty((r, c, s, n), np.float32)
         kernels.discrete(doubled, b, exponential, gains)
         walks = list[Floats]()
-        outputs = np.empty((len(self._seen), len(self._as_it_is) + len(form.summed), n), dtype=np.float32)
+        outputs = np.empty((*self._shape_of_reported, n), dtype=np.float32)
         for begin, part, (steps, reported) in zip(first, self._parts, self._experiments, strict=True):
             x = np.empty((steps.stop - steps.start + 1, s, n), dtype=np.float32)
             x[0] = begin
@@ -150,7 +151,7 @@ class Solver:
         """
         form, (r, s, _, n) = self.form, of.exponential.shape
         c = self.inputs.shape[1]
-        by_outputs = np.zeros((len(self._seen), len(self._as_it_is) + len(form.summed), n), dtype=np.float32)
+        by_outputs = np.zeros((*self._shape_of_reported, n), dtype=np.float32)
         kernels.add_rows(self._source, by_y, by_outputs.reshape(-1, n))
         by_walk, by_gains = np.zeros_like(of.exponential), np.zeros((r, c, s, n), dtype=np.float32)
         by_matrix, by_first = np.zeros(of.of_outputs.shape, dtype=np.float32), np.empty((len(of.walks), s, n))
@@ -175,7 +176,7 @@ class Solver:
             of.a, self.step, of.series, of.doubled, by_exponential, by_integral
         )
         n_rates = len(of.rates)
-        by_made = np.zeros((1 + n_rates + len(form.mean) - form.makes.shape[1], n))
+        by_made = np.zeros((self._to_states.shape[1], n))
         self._to_states.add_transposed(by_a.reshape(-1, n), by_made)
         self._to_inputs.add_transposed(by_b.reshape(-1, n), by_made)
         self._to_outputs.add_transposed(by_matrix.reshape(-1, n).astype(np.float64), by_made)

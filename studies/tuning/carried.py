@@ -40,10 +40,8 @@ def carried_trials(storage: RDBStorage, spec: Declaration) -> Iterator[FrozenTri
 def _as_trial_of(spec: Declaration, point: dict[str, object], trial: FrozenTrial, name: str) -> FrozenTrial:
     fixed = FixedTrial(point)
     suggested(fixed, spec.space, spec.base_config)
-    attrs = {
-        attempts.CARRIED: name,
-        **trial.user_attrs,
-    }  # of one that was carried before the first name stays
+    # Of one that was carried before the first name stays.
+    attrs = {attempts.CARRIED: name, **trial.user_attrs}
     attrs.pop(attempts.OWNER, None)
     # Another search space may have another default.
     if (is_default := point == spec.first_points[0]) or attrs.get(attempts.PROPOSED_BY) == "default":

@@ -340,7 +340,6 @@ def tune(
                 may_begin = bool(n_free) and not is_late
                 for size in largest_first if may_begin else []:
                     size.begin_last(sizes)
-                for size in largest_first if may_begin else []:
                     if not (size.workers or size.is_held or size.is_waiting(n_parallel)):
                         size.confirm(confirm)
                 waiting = [size for size in largest_first if may_begin and size.is_waiting(n_parallel)]

@@ -14,7 +14,6 @@ import os
 import random
 import shutil
 import sqlite3
-import subprocess
 import sys
 import tempfile
 import time
@@ -27,7 +26,7 @@ import psutil
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from held_for_tests import half_files, held, numbers_of, open_runs, wrong_of  # noqa: E402
+from held_for_tests import begun_in, half_files, held, numbers_of, open_runs, wrong_of  # noqa: E402
 
 STUDY = ("wall", "--profile", "smoke", "--jobs", "2", "-q")
 # In this order, each begins where the one before it ended.
@@ -54,17 +53,7 @@ class Watched:
 
     def __init__(self, project: Path, words: tuple[str, ...], scratch: Path) -> None:
         self.mark = uuid.uuid4().hex
-        scratch.mkdir(exist_ok=True)
-        own = {"KILLS_MARK": self.mark, "TMPDIR": str(scratch), "PYTHONPATH": str(ROOT)}
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "studies", *words],
-            cwd=project,
-            env=os.environ | own,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        self.process = begun_in(project, words, scratch, {"KILLS_MARK": self.mark})
 
     def kill(self, draw: random.Random) -> bool:
         """Kill it, or one of its processes; return whether it was still running."""

@@ -1,6 +1,7 @@
 """A run that is interrupted, by Ctrl-C or by SIGKILL, ends where an uninterrupted one does."""
 
 import json
+import re
 import shutil
 import signal
 import sqlite3
@@ -66,8 +67,8 @@ def calibration(file: Path) -> dict[str, Any]:
     """Return the result of a calibration, without what names the run of its surrogate and its own work."""
     numbers: dict[str, Any] = json.loads(file.read_text())["result"]
     # A trial that was killed and run again has another number, which names a mean too, and another run.
-    for name in ("run_id", "trial", "model"):
-        del numbers["screening"][name]
+    del numbers["screening"]["run_id"], numbers["screening"]["trial"]
+    numbers["screening"]["model"] = re.sub(r"trial \d+", "trial", numbers["screening"]["model"])
     # Rows that a killed command has stored are neither simulated nor repeated again.
     del numbers["n_simulated"], numbers["n_repeated"]
     return numbers
