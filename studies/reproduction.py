@@ -33,7 +33,7 @@ from studies.stages.simulate_stage import simulate_stage
 from studies.stages.warm_start import ChooseRows, StartRows
 from studies.task import Task
 from studies.tracking.origin import environment
-from studies.tracking.runs import CURVE, RunStore, load_surrogate, run_store
+from studies.tracking.runs import CURVE, VALIDATION_MAE, RunStore, load_surrogate, run_store
 from studies.tracking.sent_runs import sent_runs
 from studies.tuning.means import judge, mean_of, share_name
 from studies.tuning.trial_training import Training, load_data, load_drive
@@ -205,7 +205,7 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
     simulate_stage(task)  # what is stored is not simulated again
     written_drive(task)
     data, drive = load_data(spec, task.paths), load_drive(spec, task.paths)
-    curve = f"{CURVE}validation_mae"  # which is as sensitive as any other
+    curve = f"{CURVE}{VALIDATION_MAE}"  # which is as sensitive as any other
     history = {point.step: point.value for point in runs.client.get_metric_history(run.info.run_id, curve)}
     is_pruned, seen = run.data.tags.get("pruned") == "True", dict[int, float]()
 

@@ -164,11 +164,11 @@ class Outbox:
     def _send(self, label: str, run: entities.Run, content: dict[str, Any]) -> None:
         run_id, there = run.info.run_id, self._there
         noted, experiment = self._sent.runs.setdefault(run_id, {}), self._experiment(label, run)
-        if "id" not in noted:
+        if is_new := "id" not in noted:
             noted["id"] = self._found_or_made(experiment, run, content)
             self._sent.write(self._paths, self._server)
         sent_id = noted["id"]
-        if there.get_run(sent_id).info.lifecycle_stage == "deleted":
+        if not is_new and there.get_run(sent_id).info.lifecycle_stage == "deleted":
             noted["id"] = ""
             self._say(f"run {content['name']} was deleted on {self._server.uri}; it stays in the project")
             return

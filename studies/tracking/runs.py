@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
-CURVE = "curve/"
+CURVE, VALIDATION_MAE = "curve/", "validation_mae"
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
 

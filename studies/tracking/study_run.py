@@ -15,7 +15,7 @@ from studies.reporting.figures_tuning import study_figure
 from studies.results.declaration import Declaration
 from studies.tracking.leaderboard import GAIN, JUDGED_BY, SEARCHED, set_views
 from studies.tracking.quiet_mlflow import entities
-from studies.tracking.runs import SURROGATE, RunStore, register_best
+from studies.tracking.runs import CURVE, SURROGATE, VALIDATION_MAE, RunStore, register_best
 from studies.tracking.study_tags import NOTE, PARENT, with_line
 from studies.tracking.trial_run import end_run
 from studies.words.wording import count, difference_unit, percent, quantity, setting
@@ -174,7 +174,7 @@ def log_mean(
         runs: the project's runs.
         spec: the study.
         parent: the study's run.
-        leading: the run of the part with the largest share, whose curve it shows: a mean has no epochs.
+        leading: the run of the network with the largest share, whose curve it shows: a mean has no epochs.
         params: what it is made of.
         metrics: its errors and shares.
         record: what makes it again.
@@ -186,8 +186,9 @@ def log_mean(
         runs.end(left.info.run_id, "KILLED")
     run_id = runs.begin(spec.label, f"{spec.size} mean", {**role, "n_train": spec.n_train})
     runs.log(run_id, params={"n_train": spec.n_train, **params}, metrics=metrics)
-    curve = runs.client.get_metric_history(leading, "val/mae")
-    points = [entities.Metric("leading/val/mae", one.value, one.timestamp, one.step) for one in curve]
+    curve = runs.client.get_metric_history(leading, f"{CURVE}{VALIDATION_MAE}")
+    name = f"leading/{VALIDATION_MAE}"
+    points = [entities.Metric(name, one.value, one.timestamp, one.step) for one in curve]
     runs.client.log_batch(run_id, metrics=points)
     runs.log_record(run_id, record)
     runs.log_files(run_id, sorted(weights.iterdir()), SURROGATE)

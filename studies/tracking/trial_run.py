@@ -14,7 +14,7 @@ from pelsvae.epochs import EpochReport
 from studies.results.declaration import Declaration
 from studies.results.trials import errors_of
 from studies.tracking.quiet_mlflow import entities
-from studies.tracking.runs import CURVE, RunStore
+from studies.tracking.runs import CURVE, VALIDATION_MAE, RunStore
 from studies.tracking.study_tags import PARENT
 
 N_POINTS = 100
@@ -58,7 +58,7 @@ class TrialRun:
     def log(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""
         now = round(1000.0 * time.time())
-        seen = {"validation_mae": report.validation_mae}
+        seen = {VALIDATION_MAE: report.validation_mae}
         # Validated epochs may be rarer: a multiple of both numbers would be rarer still.
         if report.epoch >= self._next_terms:
             self._next_terms = report.epoch + math.ceil(report.max_epochs / N_POINTS)

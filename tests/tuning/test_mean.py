@@ -73,6 +73,17 @@ def test_it_is_one_registered_model(project: ProjectPaths) -> None:
     np.testing.assert_array_equal(predicted, same)
 
 
+def test_its_page_shows_the_curve_of_its_largest_network(project: ProjectPaths) -> None:
+    best = found_in(project).best
+    assert best is not None
+    client = connect(project.tracking_uri)
+    shown = client.get_metric_history(best.run_id, "leading/validation_mae")
+    largest = max(best.parts, key=lambda part: part.share)
+    assert len(shown) >= 5
+    own = client.get_metric_history(largest.run_id, "curve/validation_mae")
+    assert [(one.step, one.value) for one in shown] == [(one.step, one.value) for one in own]
+
+
 def test_every_table_names_it_as_what_it_is(project: ProjectPaths) -> None:
     best, read = found_in(project).best, read_project(project)
     assert best is not None
