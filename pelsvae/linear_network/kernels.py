@@ -51,6 +51,14 @@ def _add_one(matrix: Floats) -> None:
 
 
 @_compiled
+def _add(one: Floats, into: Floats) -> None:
+    for i in range(one.shape[0]):
+        for j in range(one.shape[1]):
+            for row in range(one.shape[2]):
+                into[i, j, row] += one[i, j, row]
+
+
+@_compiled
 def _times(matrix: Floats, factor: float) -> None:
     s, c, n = matrix.shape
     for i in range(s):
@@ -120,8 +128,8 @@ def exponentials_adjoint(
         _add_product(by_integral, doubled[1, q], False, True, held)
         more[:] = 0.0
         _add_product(doubled[0, q], by_integral, True, False, more)
-        by_integral += more
-        by_exponential[:] = held
+        _add(more, by_integral)
+        by_exponential, held = held, by_exponential
     by_a = np.zeros_like(a)
     _add_product(by_exponential, doubled[1, 0], False, True, by_a)
     _add_product(a, by_exponential, True, False, by_integral)
@@ -131,7 +139,7 @@ def exponentials_adjoint(
         _add_product(by_integral, series[term - 1], False, True, by_a)
         held[:] = 0.0
         _add_product(a, by_integral, True, False, held)
-        by_integral[:] = held
+        by_integral, held = held, by_integral
     return by_a
 
 
@@ -169,7 +177,8 @@ def discrete(doubled: Floats, b: Floats, exponential: Floats, gains: Floats) -> 
                 for j in range(s):
                     for row in range(n):
                         sums[row] += doubled[1, last, i, j, p * n + row] * b[p, j, k, row]
-                gains[p, k, i] = sums
+                for row in range(n):
+                    gains[p, k, i, row] = sums[row]
 
 
 @_compiled

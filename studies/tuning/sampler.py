@@ -108,16 +108,16 @@ def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:
 class CatchUpPruner(BasePruner):
     """Stops a trial that could not catch up with the best one any more.
 
-    It would miss the best completed trial even if its error fell from here on by a larger part than that of
-    any completed trial: the largest part seen, times 1 + caution / n with n completed trials. With a
-    one-cycle learning rate that part is large early in a training and nothing late, which a median ignores.
+    It would miss the best completed trial even if its error fell from here on by a larger factor than that of
+    any completed trial: the largest factor seen, to the power of 1 + caution / n with n completed trials. With
+    a one-cycle learning rate that factor is large early in a training and 1 late, which a median ignores.
 
     Args:
         caution: how much more than any completed trial one may still gain, divided by their number.
     """
 
-    # With 1.5, studies of 20 trials took 43 % of the epochs for the same best error.
-    # Optuna's median pruner saved as much and lost 0.8 %.
+    # Replays of four studies of 12 trials take 41 to 53 % of the epochs for the same best error; with a
+    # factor of the fallen part in the place of the power 47 to 70 %.
     def __init__(self, caution: float = 1.5) -> None:
         self._caution = caution
 
@@ -131,14 +131,14 @@ class CatchUpPruner(BasePruner):
         parts = [
             other.value / least
             for other in complete
-            if other.value is not None and (least := least_until(other, step)) is not None
+            if other.value is not None and (least := least_until(other, step))
         ]
         # The least so far on both sides, as the best epoch's weights are taken in the end.
         least = least_until(trial, step)
         if not parts or least is None:
             return False
-        gain = (1.0 - min(parts)) * (1.0 + self._caution / len(parts))
-        return least * (1.0 - gain) > min(other.value for other in complete if other.value is not None)
+        left = min(parts) ** (1.0 + self._caution / len(parts))
+        return least * left > min(other.value for other in complete if other.value is not None)
 
 
 def least_until(trial: FrozenTrial, step: int) -> float | None:

@@ -100,7 +100,12 @@ def test_nothing_is_stopped_without_completed_trials_or_reports() -> None:
 
 
 def test_a_hopeless_trial_is_stopped_and_a_promising_one_is_not() -> None:
-    # It may lose half of its error times 1 + 1.5 / 2: 0.875 of it, so 8.0 would become the best one's 1.0.
-    assert is_stopped(KNOWN, {10: 8.1})
-    assert not is_stopped(KNOWN, {10: 7.9})
+    # 0.5 to the power of 1 + 1.5 / 2 of its error may be left, so 3.364 would become the best one's 1.0.
+    assert is_stopped(KNOWN, {10: 3.37})
+    assert not is_stopped(KNOWN, {10: 3.36})
     assert not is_stopped(KNOWN, {10: 1.9})
+
+
+def test_one_completed_trial_is_enough_to_stop_what_is_far_behind() -> None:
+    assert is_stopped(KNOWN[:1], {10: 6.0})
+    assert not is_stopped(KNOWN[:1], {10: 5.0})
