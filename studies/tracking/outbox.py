@@ -1,7 +1,7 @@
 """Runs of a project on their way to a server: what differs there is sent, and nothing is sent twice.
 
 The project's own store is written first and is what a server that was away gets later. A run has the
-tag `studies.run` there: whoever goes on after a kill finds it again.
+tag `studies.run` there, and is noted before it is made: whoever goes on after a kill finds it again.
 """
 
 import hashlib
@@ -56,6 +56,9 @@ class Outbox:
         except InputError as damaged:  # the server is asked
             warn(f"{damaged}; it is written anew")
             self._sent = SentRuns(server.uri)
+        # Without notes, as of a damaged file, any run may be there.
+        self._is_known = bool(self._sent.experiments)
+        self._new: set[str] = set()
         self._n_points: dict[tuple[str, str], int] = {}
 
     def send(self) -> int:
@@ -64,8 +67,14 @@ class Outbox:
         Raises:
             ServerAwayError: the server does not answer.
         """
-        n_left = 0
-        for label, run in self._runs():
+        n_left, runs = 0, [*self._runs()]
+        self._new = {run.info.run_id for _, run in runs} - self._sent.runs.keys()
+        if self._new:
+            self._sent.runs |= {run_id: {} for run_id in self._new}
+            self._sent.write(self._paths, self._server)
+        if not self._is_known:
+            self._new, self._is_known = set(), True
+        for label, run in runs:
             content = self._content(run)
             noted = self._sent.runs.get(run.info.run_id, {})
             if noted.get("content") == content["digest"] or noted.get("id") == "":
@@ -162,16 +171,21 @@ class Outbox:
             self._warn(line)
 
     def _send(self, label: str, run: entities.Run, content: dict[str, Any]) -> None:
-        run_id, there = run.info.run_id, self._there
-        noted, experiment = self._sent.runs.setdefault(run_id, {}), self._experiment(label, run)
-        if is_new := "id" not in noted:
+        noted, experiment = self._sent.runs[run.info.run_id], self._experiment(label, run)
+        if "id" not in noted:
             noted["id"] = self._found_or_made(experiment, run, content)
             self._sent.write(self._paths, self._server)
-        sent_id = noted["id"]
-        if not is_new and there.get_run(sent_id).info.lifecycle_stage == "deleted":
+        try:
+            self._send_parts(run, content, noted)
+        except mlflow.MlflowException:
+            # A server writes to no run that was deleted.
+            if self._there.get_run(noted["id"]).info.lifecycle_stage != "deleted":
+                raise
             noted["id"] = ""
             self._say(f"run {content['name']} was deleted on {self._server.uri}; it stays in the project")
-            return
+
+    def _send_parts(self, run: entities.Run, content: dict[str, Any], noted: dict[str, Any]) -> None:
+        run_id, sent_id, there = run.info.run_id, noted["id"], self._there
         if noted.get("status") not in (None, "RUNNING") and content["status"] == "RUNNING":
             there.update_run(sent_id, status="RUNNING")
         for name in {*noted.get("tags", [])} - {*content["tags"]}:
@@ -198,11 +212,11 @@ class Outbox:
 
     def _found_or_made(self, experiment: str, run: entities.Run, content: dict[str, Any]) -> str:
         """Return the id of a run on the server; it is made there unless a killed command has."""
-        known = self._there.search_runs(
-            [experiment], f"tags.`{RUN}` = '{run.info.run_id}'", run_view_type=entities.ViewType.ALL
-        )
-        if known:
-            return str(known[0].info.run_id)
+        if run.info.run_id not in self._new:
+            same = f"tags.`{RUN}` = '{run.info.run_id}'"
+            known = self._there.search_runs([experiment], same, run_view_type=entities.ViewType.ALL)
+            if known:
+                return str(known[0].info.run_id)
         tags, name = dict([*content["tags"].items()][:_MOST_WORDS]), content["name"]
         made = self._there.create_run(experiment, start_time=run.info.start_time, run_name=name, tags=tags)
         return str(made.info.run_id)

@@ -19,6 +19,8 @@ _PATIENCE = {
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "10",
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
 }
+# To print the address of a run that ends, MLflow asks for the run once more.
+_QUIET = {"MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true"}
 
 
 @contextmanager
@@ -57,7 +59,7 @@ def begin_sending(paths: ProjectPaths) -> None:
     sender = subprocess.Popen(
         [sys.executable, "-P", "-m", "studies.tracking.sender"],
         cwd=paths.root,
-        env=_PATIENCE | dict(os.environ),
+        env=_PATIENCE | dict(os.environ) | _QUIET,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
