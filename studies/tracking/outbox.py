@@ -60,6 +60,8 @@ class Outbox:
         self._is_known = bool(self._sent.experiments)
         self._new: set[str] = set()
         self._n_points: dict[tuple[str, str], int] = {}
+        # Parameters and tags that this process has written, by run.
+        self._written: dict[str, dict[str, dict[str, str]]] = {}
 
     def send(self) -> int:
         """Send what is missing there, and return how many runs are still missing.
@@ -190,8 +192,9 @@ class Outbox:
             there.update_run(sent_id, status="RUNNING")
         for name in {*noted.get("tags", [])} - {*content["tags"]}:
             there.delete_tag(sent_id, name)
-        words = [entities.Param(*one) for one in content["params"].items()]
-        marks = [entities.RunTag(*one) for one in content["tags"].items()]
+        written = self._written.pop(run_id, {})
+        words = [entities.Param(*one) for one in _changes(content["params"], written.get("params"))]
+        marks = [entities.RunTag(*one) for one in _changes(content["tags"], written.get("tags"))]
         points = [one for key, *_ in content["metrics"] for one in self._new_points(run_id, key)]
         for at in range(0, max(len(words), len(marks), 1), _MOST_WORDS):
             part = slice(at, at + _MOST_WORDS)
@@ -200,6 +203,7 @@ class Outbox:
             there.log_batch(sent_id, points[at : at + _MOST_POINTS])
         for point in points:
             self._n_points[run_id, point.key] = self._n_points.get((run_id, point.key), 0) + 1
+        self._written[run_id] = {"params": content["params"], "tags": content["tags"]}
         folder, files = self._folder(run.info.artifact_uri), noted.setdefault("files", {})
         for name, state in content["files"].items():
             if folder is not None and files.get(name) != state:
@@ -219,6 +223,7 @@ class Outbox:
                 return str(known[0].info.run_id)
         tags, name = dict([*content["tags"].items()][:_MOST_WORDS]), content["name"]
         made = self._there.create_run(experiment, start_time=run.info.start_time, run_name=name, tags=tags)
+        self._written[run.info.run_id] = {"tags": tags}
         return str(made.info.run_id)
 
     def _experiment(self, label: str, run: entities.Run) -> str:
@@ -290,6 +295,10 @@ class Outbox:
             model_id=None if is_database else made.model_id,
         )
         return str(added.version)
+
+
+def _changes(texts: dict[str, str], written: dict[str, str] | None) -> list[tuple[str, str]]:
+    return [one for one in texts.items() if one not in (written or {}).items()]
 
 
 def _line_of(error: BaseException) -> str:
