@@ -108,9 +108,10 @@ def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:
 class CatchUpPruner(BasePruner):
     """Stops a trial that could not catch up with the best one any more.
 
-    It would miss the best completed trial even if its error fell from here on by a larger factor than that of
-    any completed trial: the largest factor seen, to the power of 1 + caution / n with n completed trials. With
-    a one-cycle learning rate that factor is large early in a training and 1 late, which a median ignores.
+    It would miss the best completed trial even if its error fell from here on by a larger factor than that
+    of any completed trial: the largest factor seen, to the power of 1 + caution / n with n completed trials.
+    With a one-cycle learning rate that factor is large early in a training and 1 late, which a median
+    ignores.
 
     Args:
         caution: how much more than any completed trial one may still gain, divided by their number.
