@@ -138,7 +138,7 @@ class CatchUpPruner(BasePruner):
         least = least_until(trial, step)
         if not parts or least is None:
             return False
-        left = min(parts) ** (1.0 + self._caution / len(parts))
+        left: float = min(parts) ** (1.0 + self._caution / len(parts))
         return least * left > min(other.value for other in complete if other.value is not None)
 
 

@@ -40,6 +40,7 @@ SHORTER = {
     "n_startup_trials = 3": "n_startup_trials = 2",
     "[tuning]\n": "[tuning]\nmax_epochs = 100\nbaseline = false\n",
     "maxiter = 200": "maxiter = 60",
+    "max_calls = 300": "max_calls = 40",
 }
 COMMAND = ("run", "--json", "--trials", str(N_TRIALS))
 PAGES = (
