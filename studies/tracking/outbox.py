@@ -193,8 +193,9 @@ class Outbox:
         for name in {*noted.get("tags", [])} - {*content["tags"]}:
             there.delete_tag(sent_id, name)
         written = self._written.pop(run_id, {})
-        words = [entities.Param(*one) for one in _changes(content["params"], written.get("params"))]
-        marks = [entities.RunTag(*one) for one in _changes(content["tags"], written.get("tags"))]
+        new = {kind: content[kind].items() - written.get(kind, {}).items() for kind in ("params", "tags")}
+        words = [entities.Param(*one) for one in sorted(new["params"])]
+        marks = [entities.RunTag(*one) for one in sorted(new["tags"])]
         points = [one for key, *_ in content["metrics"] for one in self._new_points(run_id, key)]
         for at in range(0, max(len(words), len(marks), 1), _MOST_WORDS):
             part = slice(at, at + _MOST_WORDS)
@@ -295,10 +296,6 @@ class Outbox:
             model_id=None if is_database else made.model_id,
         )
         return str(added.version)
-
-
-def _changes(texts: dict[str, str], written: dict[str, str] | None) -> list[tuple[str, str]]:
-    return [one for one in texts.items() if one not in (written or {}).items()]
 
 
 def _line_of(error: BaseException) -> str:
