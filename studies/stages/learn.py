@@ -23,6 +23,7 @@ from studies.results.trials import TunedStudy
 from studies.search_space import FORMS, NETWORK_SPACE, form_of
 from studies.stages.simulate_stage import set_files
 from studies.task import StageError, Task
+from studies.tracking.sending import begin_sending
 from studies.tuning.attempts import places
 from studies.tuning.sampler import make_pruner, make_sampler
 from studies.tuning.study_results import of_project
@@ -69,6 +70,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
     specs = declarations(task, simulated.result)
     found = closed_studies(specs, task.paths, budget.n_trials, budget.confirm)
     if found is not None:
+        begin_sending(task.paths)  # what an earlier command could not send
         n = sum(one.n_ended for one in found)
         task.console.say(f"tune: finished before, {count(n, 'trial')} reused")
         return _outcome(specs, found, reused=True, wall_s=sum(one.wall_s for one in found))

@@ -7,8 +7,12 @@ import sys
 from pathlib import Path
 
 import mlflow
+import pytest
 from mlflow_server_for_tests import MlflowServer
 from mlflow_store_for_tests import give_store
+
+from studies.cli import main
+from studies.tracking.quiet_mlflow import connect
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "company-mlflow.md"
@@ -18,6 +22,34 @@ def blocks(kind: str, uri: str) -> list[str]:
     """Return the page's blocks of a language, with the address of a real server."""
     text = PAGE.read_text("utf-8").replace("https://mlflow.example.com", uri)
     return re.findall(rf"^```{kind}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_a_finished_command_sends_what_it_could_not_send_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "project"
+    give_store(root)
+    (root / "studies.toml").touch()
+    monkeypatch.chdir(root)
+    server = MlflowServer(tmp_path / "server")
+    words = ("tune", "wall", "--profile", "smoke", "--n-train", "16", "--jobs", "1", "--tracking", server.uri)
+    try:
+        server.kill()
+        assert main(words) == 0
+        assert "sent by the next command" in capsys.readouterr().err
+        server.start()
+        assert main(words) == 0
+        said = capsys.readouterr().err
+        assert "tune: finished before" in said
+        assert "not on" not in said
+        here, there = (
+            {run.info.run_name: (run.info.status, run.data.metrics) for run in client.search_runs(["1"])}
+            for client in (connect(f"sqlite:///{root}/mlruns/mlflow.db"), mlflow.MlflowClient(server.uri))
+        )
+        assert there == here
+        assert len(here) >= 5
+    finally:
+        server.close()
 
 
 def test_every_command_of_the_page_does_what_it_says(tmp_path: Path) -> None:
