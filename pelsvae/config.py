@@ -1,6 +1,7 @@
 """Every choice about the network and its training in one frozen record; imports nothing heavy."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
@@ -97,8 +98,7 @@ class SurrogateConfig:
         Raises:
             ValueError: A setting has the wrong type or lies outside its range.
         """
-        hints = get_type_hints(SurrogateConfig)
-        for name, hint in hints.items():
+        for name, hint in _hints().items():
             _check_type(name, getattr(self, name), hint)
         for name in (
             "n_latent", "n_hidden", "n_latent_samples", "n_prediction_samples",
@@ -137,7 +137,7 @@ class SurrogateConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain values that JSON can hold."""
-        return dataclasses.asdict(self)
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     @staticmethod
     def from_dict(settings: Mapping[str, Any]) -> "SurrogateConfig":
@@ -157,6 +157,11 @@ class SurrogateConfig:
         if unknown:
             raise ValueError(f"unknown surrogate settings {unknown}; known are {sorted(known)}")
         return SurrogateConfig(**settings)
+
+
+@functools.cache
+def _hints() -> dict[str, object]:
+    return get_type_hints(SurrogateConfig)
 
 
 def _check_type(name: str, value: object, hint: object) -> None:

@@ -93,12 +93,13 @@ class Outbox:
         return n_left
 
     def n_missing(self) -> int:
-        """Return how many runs the server has not, or not as they are; it is not asked."""
+        """Return how many runs that ended the server has not, or not as they are; it is not asked."""
         noted = self._sent.runs
         return sum(
             noted.get(run.info.run_id, {}).get("content") != self._content(run)["digest"]
             and noted.get(run.info.run_id, {}).get("id") != ""
             for _, run in self._runs()
+            if run.info.status != "RUNNING"
         )
 
     def _runs(self) -> Iterator[tuple[str, entities.Run]]:

@@ -5,8 +5,10 @@ project from its standard input, sends until that is closed, and then once more.
 """
 
 import json
+import math
 import sys
 import threading
+import time
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -20,6 +22,8 @@ INTERVAL_S = 3.0
 """Between two looks at what is new: a curve grows on the server's page as often."""
 AWAY_S = 10.0
 """Before a server that did not answer is asked again."""
+WAIT_S = 30.0
+"""For the sender of another command to send what this command has written."""
 
 
 def main() -> int:
@@ -36,21 +40,30 @@ def main() -> int:
         is_over.set()
 
     threading.Thread(target=wait_for_end, daemon=True).start()
-    lock = FileLock(paths.mlruns / ".sent.lock")
-    # The sender of another command sends for this one, too.
-    while not lock.try_acquire():
-        if is_over.wait(INTERVAL_S):
-            if lock.try_acquire():
-                break
-            return 0
     try:
         # MLflow prints the address of each run that ends.
         with working(), redirect_stdout(sys.stderr):
-            _send(Outbox(paths, server, _say), server, is_over)
+            _send_alone(paths, server, is_over)
     except Exception as error:
         # Nothing is lost: the project's own store has all, and whoever sends next begins from it.
         _say(f"runs are not sent to {server.uri}: {type(error).__name__}: {error}")
     return 0
+
+
+def _send_alone(paths: ProjectPaths, server: Server, is_over: threading.Event) -> None:
+    """Send, unless the sender of another command does: it sends for this command, too."""
+    lock, give_up = FileLock(paths.mlruns / ".sent.lock"), math.inf
+    while not lock.try_acquire():
+        if is_over.wait(INTERVAL_S):
+            give_up = min(give_up, time.monotonic() + WAIT_S)
+            n_left = Outbox(paths, server, _say).n_missing()
+            if not n_left:
+                return
+            if time.monotonic() > give_up:
+                _say_missing(n_left, server, "another command sends them")
+                return
+            time.sleep(1.0)
+    _send(Outbox(paths, server, _say), server, is_over)
 
 
 def _send(outbox: Outbox, server: Server, is_over: threading.Event) -> None:
@@ -63,11 +76,15 @@ def _send(outbox: Outbox, server: Server, is_over: threading.Event) -> None:
         if is_last:
             n_left = outbox.n_missing() if away else n_left
             if n_left:
-                which = f"{n_left} runs are" if n_left > 1 else "1 run is"
                 why = f" ({away})" if away else ""
-                _say(f"{which} not on {server.uri} yet{why}; kept here, and sent by the next command")
+                _say_missing(n_left, server, f"kept here, and sent by the next command{why}")
             return
         is_over.wait(AWAY_S if away else INTERVAL_S)
+
+
+def _say_missing(n_runs: int, server: Server, who: str) -> None:
+    which = f"{n_runs} runs are" if n_runs > 1 else "1 run is"
+    _say(f"{which} not on {server.uri} yet; {who}")
 
 
 def _say(line: str) -> None:

@@ -1,7 +1,9 @@
 """Runs on a real MLflow server: equal to those of the project, once each, also after outages and kills."""
 
 import shutil
+import time
 from collections.abc import Iterator
+from contextvars import Context
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from mlflow_server_for_tests import NAME, PASSWORD, MlflowServer, WithoutRegistr
 from mlflow_store_for_tests import give_store
 from toy_study_for_tests import LABEL, assert_mlflow_agrees, runs_of, toy_study, tuned_study
 
+from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.server import Server, give_identity
 from studies.tracking.outbox import Outbox, ServerAwayError
@@ -132,6 +135,30 @@ def test_a_list_of_sent_runs_that_is_lost_doubles_nothing(copied: ProjectPaths, 
     assert sent is not None
     for model in sent.models.values():
         assert len(client.search_model_versions(f"name = '{model['name']}'")) == 1
+
+
+def test_a_command_ends_once_the_sender_of_another_one_has_sent_its_runs(
+    copied: ProjectPaths, server: MlflowServer
+) -> None:
+    paths, said = with_server(copied, server.uri), list[str]()
+    client = connect(copied.tracking_uri)
+    run_id = runs_of(copied, LABEL)[0].info.run_id
+
+    def note() -> None:
+        with runs_sent(said.append):
+            begin_sending(paths)
+            client.set_tag(run_id, "noted", "while another command works")
+
+    with runs_sent(said.append):
+        begin_sending(paths)
+        lock = FileLock(paths.mlruns / ".sent.lock")
+        while lock.try_acquire():  # until the first command's sender has it
+            lock.release()
+            time.sleep(0.2)
+        Context().run(note)
+        assert runs_there(server.uri, paths)[run_id].data.tags["noted"] == "while another command works"
+    assert said == []
+    assert_equal_there(server.uri, paths)
 
 
 def test_two_projects_of_one_name_find_their_own(
