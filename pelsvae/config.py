@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, cast, get_args, get_type_hints
 
 Activation = Literal["relu", "silu"]
 ThetaFeatures = Literal["linear", "linear+log"]
@@ -164,16 +164,22 @@ def _hints() -> dict[str, object]:
     return get_type_hints(SurrogateConfig)
 
 
+@functools.cache
+def _allowed(hint: object) -> tuple[object, ...]:
+    """Return the words, or else the types, that an annotation allows."""
+    allowed = get_args(hint) or (hint,)
+    # A profile writes 1 for 1.0.
+    return (*allowed, int) if float in allowed else allowed
+
+
 def _check_type(name: str, value: object, hint: object) -> None:
     """Raise ValueError where a value is not what its annotation says (an int passes for a float)."""
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise ValueError(f"{name} = {value!r} must be one of {list(get_args(hint))}")
+    allowed = _allowed(hint)
+    if not isinstance(allowed[0], type):
+        if value not in allowed:
+            raise ValueError(f"{name} = {value!r} must be one of {[*allowed]}")
         return
-    kinds = cast("tuple[type, ...]", get_args(hint) or (hint,))
-    # A profile writes 1 for 1.0.
-    if float in kinds:
-        kinds = (*kinds, int)
+    kinds = cast("tuple[type, ...]", allowed)
     # bool is a subclass of int, so isinstance alone would take True for a number.
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
         raise ValueError(f"{name} = {value!r} must be {' or '.join(kind.__name__ for kind in kinds)}")
