@@ -92,14 +92,18 @@ class Outbox:
         self._sent.write(self._paths, self._server)
         return n_left
 
-    def n_missing(self) -> int:
-        """Return how many runs that ended the server has not, or not as they are; it is not asked."""
+    def n_missing(self, *, with_running: bool = True) -> int:
+        """Return how many runs the server has not, or not as they are; it is not asked.
+
+        Args:
+            with_running: whether runs that go on count, which may be another command's.
+        """
         noted = self._sent.runs
         return sum(
             noted.get(run.info.run_id, {}).get("content") != self._content(run)["digest"]
             and noted.get(run.info.run_id, {}).get("id") != ""
             for _, run in self._runs()
-            if run.info.status != "RUNNING"
+            if with_running or run.info.status != "RUNNING"
         )
 
     def _runs(self) -> Iterator[tuple[str, entities.Run]]:

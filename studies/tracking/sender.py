@@ -56,7 +56,7 @@ def _send_alone(paths: ProjectPaths, server: Server, is_over: threading.Event) -
     while not lock.try_acquire():
         if is_over.wait(INTERVAL_S):
             give_up = min(give_up, time.monotonic() + WAIT_S)
-            n_left = Outbox(paths, server, _say).n_missing()
+            n_left = Outbox(paths, server, _say).n_missing(with_running=False)
             if not n_left:
                 return
             if time.monotonic() > give_up:
