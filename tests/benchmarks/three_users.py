@@ -140,7 +140,7 @@ def disturbed(
                 n_kills += 1
             except ProcessLookupError:
                 disturb.append(what)
-        next_s = time.monotonic() + draw.uniform(3.0, 9.0)
+        next_s = time.monotonic() + draw.uniform(1.5, 4.5)
     return n_kills
 
 
