@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import sqlalchemy
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 # Beside times and places: of the rows that a stage asked for, how many were stored before, and how many not.
@@ -83,8 +84,18 @@ def differences(one: Any, other: Any, place: str = "") -> Iterator[str]:
         yield f"{place} is {str(other)[:200]}, not {str(one)[:200]}"
 
 
-def held(project: Path) -> dict[str, Any]:
-    """Return the numbers, rows, trials and files that a project holds."""
+def database_of(project: Path, url: str | None, file: str) -> str:
+    """Return the address of a database, of a file in `mlruns` unless there is a server."""
+    return url or f"sqlite:///{project}/mlruns/{file}"
+
+
+def held(project: Path, url: str | None = None) -> dict[str, Any]:
+    """Return the numbers, rows, trials and files that a project holds.
+
+    Args:
+        project: Its folder.
+        url: Its database on a PostgreSQL server; None: it has files.
+    """
     import optuna
 
     found: dict[str, Any] = {}
@@ -111,8 +122,8 @@ def held(project: Path) -> dict[str, Any]:
             query = "select _theta, _failure, _check from simulations"
             rows |= {(file.name, *row) for row in database.execute(query)}
     found["rows"] = rows
-    if (project / "mlruns" / "optuna.db").is_file():
-        storage = optuna.storages.RDBStorage(f"sqlite:///{project}/mlruns/optuna.db")
+    if url or (project / "mlruns" / "optuna.db").is_file():
+        storage = optuna.storages.RDBStorage(database_of(project, url, "optuna.db"))
         for study in storage.get_all_studies():
             trials = storage.get_all_trials(study._study_id)
             ended = [one for one in trials if one.state.is_finished() and one.state.name != "FAIL"]
@@ -124,14 +135,18 @@ def held(project: Path) -> dict[str, Any]:
     return found
 
 
-def open_runs(project: Path) -> list[str]:
-    """Return the names of MLflow's runs that have not ended."""
-    file = project / "mlruns" / "mlflow.db"
-    if not file.is_file():
+def open_runs(project: Path, url: str | None = None) -> list[str]:
+    """Return the names of MLflow's runs that have not ended, in files or in a database on a server."""
+    if not (url or (project / "mlruns" / "mlflow.db").is_file()):
         return []
-    with contextlib.closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+    engine = sqlalchemy.create_engine(database_of(project, url, "mlflow.db"))
+    with contextlib.closing(engine.connect()) as database:
+        if not sqlalchemy.inspect(database).has_table("runs"):
+            return []
         query = "SELECT name FROM runs WHERE status = 'RUNNING' AND lifecycle_stage = 'active'"
-        return [str(name) for (name,) in database.execute(query)]
+        names = [str(name) for (name,) in database.execute(sqlalchemy.text(query))]
+    engine.dispose()
+    return names
 
 
 def half_files(project: Path, scratch: Path) -> list[str]:

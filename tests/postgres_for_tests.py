@@ -91,12 +91,17 @@ class PostgresServer:
         """Return the URL of a database."""
         return f"postgresql://tester@127.0.0.1:{self.port}/{database}"
 
-    def new_database(self) -> str:
-        """Make an empty database and return its URL."""
+    def new_database(self, of: str | None = None) -> str:
+        """Make a database, an empty one or a copy of one by its URL, and return its URL."""
         self._n_databases += 1
         name = f"studies{self._n_databases}"
-        self.execute(f"create database {name}")
+        template = f" template {of.rpartition('/')[2]}" if of else ""
+        self.execute(f"create database {name}{template}")
         return self.url(name)
+
+    def drop(self, url: str) -> None:
+        """Remove a database, whoever is connected."""
+        self.execute(f"drop database {url.rpartition('/')[2]} with (force)")
 
     def execute(self, statement: str, database: str = "postgres") -> list[tuple[object, ...]]:
         """Run a statement as the server's master."""

@@ -3,7 +3,7 @@
 Every command is begun in a copy of a project and killed by SIGKILL, itself or one of its processes, twice. It
 is then typed again until it succeeds. Its numbers, rows, trials and files must be those of a project in which
 nothing was killed. No process, open run of MLflow, temporary file or half a file may be left. Exits 1
-otherwise.
+otherwise. With `--postgresql`, trials and runs are in databases on a server, else in files.
 """
 
 import argparse
@@ -18,15 +18,27 @@ import sys
 import tempfile
 import time
 import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
+import sqlalchemy
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from held_for_tests import begun_in, half_files, held, numbers_of, open_runs, wrong_of  # noqa: E402
+from held_for_tests import (  # noqa: E402
+    begun_in,
+    database_of,
+    half_files,
+    held,
+    numbers_of,
+    open_runs,
+    wrong_of,
+)
+from postgres_for_tests import PostgresServer  # noqa: E402
 
 STUDY = ("wall", "--profile", "smoke", "--jobs", "2", "-q")
 # In this order, each begins where the one before it ended.
@@ -48,12 +60,48 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
 GRACE_S, LIMIT_S = 60.0, 1800.0
 
 
+@dataclass(frozen=True)
+class Project:
+    """A project, and its database where that is on a server.
+
+    Attributes:
+        folder: Where it lies.
+        server: PostgreSQL; None: it has files.
+        url: Of its database there.
+    """
+
+    folder: Path
+    server: PostgresServer | None = None
+    url: str | None = None
+
+    def copied(self, folder: Path) -> "Project":
+        """Copy it, with its database."""
+        shutil.copytree(self.folder, folder)
+        return Project(folder, self.server, self.server.new_database(self.url) if self.server else None)
+
+    @contextlib.contextmanager
+    def lent(self) -> Iterator["Project"]:
+        """Yield a copy that is removed afterwards."""
+        with tempfile.TemporaryDirectory(prefix="command-kills-") as name:
+            copy = self.copied(Path(name) / "project")
+            try:
+                yield copy
+            finally:
+                if self.server and copy.url:
+                    self.server.drop(copy.url)
+
+    def held(self) -> dict[str, Any]:
+        """Return what it holds."""
+        return held(self.folder, self.url)
+
+
 class Watched:
     """A command that runs in a project, with a mark by which all of its processes are known."""
 
-    def __init__(self, project: Path, words: tuple[str, ...], scratch: Path) -> None:
+    def __init__(self, project: Project, words: tuple[str, ...], scratch: Path) -> None:
         self.mark = uuid.uuid4().hex
-        self.process = begun_in(project, words, scratch, {"KILLS_MARK": self.mark})
+        own = {"STUDIES_STORAGE": project.url} if project.url else {}
+        self.process = begun_in(project.folder, words, scratch, {"KILLS_MARK": self.mark, **own})
 
     def kill(self, draw: random.Random) -> bool:
         """Kill it, or one of its processes; return whether it was still running."""
@@ -91,12 +139,11 @@ def marked(mark: str) -> list[int]:
 
 
 def attacked(
-    words: tuple[str, ...], before: Path, after: dict[str, Any], took_s: float, draw: random.Random
+    words: tuple[str, ...], before: Project, after: dict[str, Any], took_s: float, draw: random.Random
 ) -> tuple[int, str]:
     """Kill a command twice, type it again; return the kills that met it alive, and what is wrong or ""."""
-    with tempfile.TemporaryDirectory(prefix="command-kills-") as name:
-        project, scratch, n_kills = Path(name) / "project", Path(name) / "tmp", 0
-        shutil.copytree(before, project)
+    with before.lent() as project:
+        scratch, n_kills = project.folder.parent / "tmp", 0
         for _ in range(2):
             command = Watched(project, words, scratch)
             time.sleep(draw.uniform(0.05, took_s))
@@ -115,33 +162,34 @@ def attacked(
             return n_kills, f"a traceback: {said[-300:]}"
         if left := command.left():
             return n_kills, f"processes are left: {left}"
-        if files := half_files(project, scratch):
+        if files := half_files(project.folder, scratch):
             return n_kills, f"files are left: {files[:5]}"
-        if runs := open_runs(project):
+        if runs := open_runs(project.folder, project.url):
             return n_kills, f"runs of MLflow are left open: {runs[:5]}"
-        return n_kills, "; ".join(wrong_of(after, held(project) | answered(answer, project))[:10])
+        return n_kills, "; ".join(wrong_of(after, project.held() | answered(answer, project))[:10])
 
 
-def check_that_it_sees(project: Path, after: dict[str, Any]) -> None:
+def check_that_it_sees(project: Project) -> None:
     """Spoil a copy of a finished project in three places, and stop unless each is seen.
 
     Raises:
         AssertionError: What this script compares does not hold what the project holds.
     """
-    with tempfile.TemporaryDirectory(prefix="command-kills-") as name:
-        copy = Path(name) / "project"
-        shutil.copytree(project, copy)
-        assert not wrong_of(after, held(copy)), "a copy is the same"
-        store = next((copy / "data").rglob("*.db"))
+    after = project.held()
+    with project.lent() as copy:
+        assert not wrong_of(after, copy.held()), "a copy is the same"
+        store = next((copy.folder / "data").rglob("*.db"))
         with contextlib.closing(sqlite3.connect(store)) as database, database:
             database.execute("delete from simulations where _id = (select max(_id) from simulations)")
-        record = copy / "mlruns" / "results" / "wall-smoke" / "calibrate-adaptive.json"
+        record = copy.folder / "mlruns" / "results" / "wall-smoke" / "calibrate-adaptive.json"
         content = json.loads(record.read_text())
         content["result"]["mse"] *= 1.001
         record.write_text(json.dumps(content))
-        with contextlib.closing(sqlite3.connect(copy / "mlruns" / "optuna.db")) as database, database:
-            database.execute("update trial_values set value = value * 1.001")
-        seen = wrong_of(after, held(copy))
+        engine = sqlalchemy.create_engine(database_of(copy.folder, copy.url, "optuna.db"))
+        with engine.begin() as connection:
+            connection.execute(sqlalchemy.text("update trial_values set value = value * 1.001"))
+        engine.dispose()
+        seen = wrong_of(after, copy.held())
         for what in ("1 rows lost", "calibrate-adaptive.json/result/mse", "trials of "):
             assert any(what in one for one in seen), f"not seen: {what}"
 
@@ -155,9 +203,9 @@ def is_finished_before(words: tuple[str, ...], code: int, said: str) -> bool:
     return words[0] == "new" and code == 2 and "case.toml exists and is never overwritten" in said
 
 
-def answered(answer: str, project: Path) -> dict[str, Any]:
+def answered(answer: str, project: Project) -> dict[str, Any]:
     """Return the numbers that a command with `--json` answers."""
-    answer = answer.replace(str(project), "project")
+    answer = answer.replace(str(project.folder), "project")
     return {"answer": numbers_of(json.loads(answer))} if answer.startswith("{") else {}
 
 
@@ -167,37 +215,45 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=int(os.environ.get("KILLS_SEED", "0")))
     parser.add_argument("--only", help="the commands of this name alone")
+    parser.add_argument("--postgresql", action="store_true", help="trials and runs are on a server")
     chosen = parser.parse_args()
+    with contextlib.ExitStack() as stack:
+        server = PostgresServer() if chosen.postgresql else None
+        if server:
+            stack.callback(server.close)
+        top = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="command-kills-")))
+        return killed(chosen, server, top)
+
+
+def killed(chosen: argparse.Namespace, server: PostgresServer | None, top: Path) -> int:
+    """Run all commands in a project, then kill them in copies of it; return 1 where something is wrong."""
     draw, n_wrong, n_kills = random.Random(chosen.seed), 0, 0
-    with tempfile.TemporaryDirectory(prefix="command-kills-") as name:
-        project, scratch, states = Path(name) / "project", Path(name) / "tmp", []
-        for place in ("fmus/wall", "data/wall"):
-            shutil.copytree(ROOT / place, project / place, ignore=shutil.ignore_patterns("generated"))
-        (project / "studies.toml").write_text("schema = 1\n")
-        for number, words in enumerate(COMMANDS):
-            before = Path(name) / f"before-{number}"
-            shutil.copytree(project, before)
-            began = time.monotonic()
-            code, answer, said = Watched(project, words, scratch).ended()
-            assert code == 0, f"{words}: {said}"
-            states.append(
-                (words, before, held(project) | answered(answer, project), time.monotonic() - began)
-            )
-            print(f"{states[-1][3]:.1f} s without a kill: {' '.join(words)}", flush=True)
-        check_that_it_sees(project, held(project))
-        states = [state for state in states if chosen.only in (None, state[0][0])]
-        seen: dict[tuple[str, ...], list[tuple[int, str]]] = {state[0]: [] for state in states}
-        for words, before, after, took_s in itertools.cycle(states):
-            n, wrong = attacked(words, before, after, took_s, draw)
-            seen[words].append((n, wrong))
-            n_kills += n
-            n_wrong += bool(wrong)
-            print(f"{n_kills} kills, {' '.join(words)}: {f'WRONG {wrong}' if wrong else 'good'}", flush=True)
-            if n_kills >= chosen.kills:
-                break
-        for words, found in seen.items():
-            n, n_bad = sum(n for n, _ in found), sum(bool(wrong) for _, wrong in found)
-            print(f"{n:3d} kills, {n_bad} wrong: {' '.join(words)}")
+    project = Project(top / "project", server, server.new_database() if server else None)
+    for place in ("fmus/wall", "data/wall"):
+        shutil.copytree(ROOT / place, project.folder / place, ignore=shutil.ignore_patterns("generated"))
+    (project.folder / "studies.toml").write_text("schema = 1\n")
+    states = []
+    for number, words in enumerate(COMMANDS):
+        before = project.copied(top / f"before-{number}")
+        began = time.monotonic()
+        code, answer, said = Watched(project, words, top / "tmp").ended()
+        assert code == 0, f"{words}: {said}"
+        states.append((words, before, project.held() | answered(answer, project), time.monotonic() - began))
+        print(f"{states[-1][3]:.1f} s without a kill: {' '.join(words)}", flush=True)
+    check_that_it_sees(project)
+    states = [state for state in states if chosen.only in (None, state[0][0])]
+    seen: dict[tuple[str, ...], list[tuple[int, str]]] = {state[0]: [] for state in states}
+    for words, before, after, took_s in itertools.cycle(states):
+        n, wrong = attacked(words, before, after, took_s, draw)
+        seen[words].append((n, wrong))
+        n_kills += n
+        n_wrong += bool(wrong)
+        print(f"{n_kills} kills, {' '.join(words)}: {f'WRONG {wrong}' if wrong else 'good'}", flush=True)
+        if n_kills >= chosen.kills:
+            break
+    for words, found in seen.items():
+        n, n_bad = sum(n for n, _ in found), sum(bool(wrong) for _, wrong in found)
+        print(f"{n:3d} kills, {n_bad} wrong: {' '.join(words)}")
     print(f"{n_kills} kills: {'good' if not n_wrong else f'{n_wrong} BAD'}")
     return bool(n_wrong)
 
