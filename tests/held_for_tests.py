@@ -84,11 +84,6 @@ def differences(one: Any, other: Any, place: str = "") -> Iterator[str]:
         yield f"{place} is {str(other)[:200]}, not {str(one)[:200]}"
 
 
-def database_of(project: Path, url: str | None, file: str) -> str:
-    """Return the address of a database, of a file in `mlruns` unless there is a server."""
-    return url or f"sqlite:///{project}/mlruns/{file}"
-
-
 def held(project: Path, url: str | None = None) -> dict[str, Any]:
     """Return the numbers, rows, trials and files that a project holds.
 
@@ -97,6 +92,8 @@ def held(project: Path, url: str | None = None) -> dict[str, Any]:
         url: Its database on a PostgreSQL server; None: it has files.
     """
     import optuna
+
+    from studies.paths import ProjectPaths
 
     found: dict[str, Any] = {}
     for file in sorted((project / "mlruns" / "results").rglob("*")):
@@ -123,7 +120,7 @@ def held(project: Path, url: str | None = None) -> dict[str, Any]:
             rows |= {(file.name, *row) for row in database.execute(query)}
     found["rows"] = rows
     if url or (project / "mlruns" / "optuna.db").is_file():
-        storage = optuna.storages.RDBStorage(database_of(project, url, "optuna.db"))
+        storage = optuna.storages.RDBStorage(ProjectPaths(project, url).optuna_url)
         for study in storage.get_all_studies():
             trials = storage.get_all_trials(study._study_id)
             ended = [one for one in trials if one.state.is_finished() and one.state.name != "FAIL"]
@@ -139,7 +136,9 @@ def open_runs(project: Path, url: str | None = None) -> list[str]:
     """Return the names of MLflow's runs that have not ended, in files or in a database on a server."""
     if not (url or (project / "mlruns" / "mlflow.db").is_file()):
         return []
-    engine = sqlalchemy.create_engine(database_of(project, url, "mlflow.db"))
+    from studies.paths import ProjectPaths
+
+    engine = sqlalchemy.create_engine(ProjectPaths(project, url).tracking_uri)
     with contextlib.closing(engine.connect()) as database:
         if not sqlalchemy.inspect(database).has_table("runs"):
             return []

@@ -31,7 +31,6 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from held_for_tests import (  # noqa: E402
     begun_in,
-    database_of,
     half_files,
     held,
     numbers_of,
@@ -39,6 +38,8 @@ from held_for_tests import (  # noqa: E402
     wrong_of,
 )
 from postgres_for_tests import PostgresServer  # noqa: E402
+
+from studies.paths import ProjectPaths  # noqa: E402
 
 STUDY = ("wall", "--profile", "smoke", "--jobs", "2", "-q")
 # In this order, each begins where the one before it ended.
@@ -185,7 +186,7 @@ def check_that_it_sees(project: Project) -> None:
         content = json.loads(record.read_text())
         content["result"]["mse"] *= 1.001
         record.write_text(json.dumps(content))
-        engine = sqlalchemy.create_engine(database_of(copy.folder, copy.url, "optuna.db"))
+        engine = sqlalchemy.create_engine(ProjectPaths(copy.folder, copy.url).optuna_url)
         with engine.begin() as connection:
             connection.execute(sqlalchemy.text("update trial_values set value = value * 1.001"))
         engine.dispose()
