@@ -91,9 +91,8 @@ def held(project: Path, url: str | None = None) -> dict[str, Any]:
         project: Its folder.
         url: Its database on a PostgreSQL server; None: it has files.
     """
-    import optuna
-
     from studies.paths import ProjectPaths
+    from studies.tuning.storage import storage_of
 
     found: dict[str, Any] = {}
     for file in sorted((project / "mlruns" / "results").rglob("*")):
@@ -120,15 +119,13 @@ def held(project: Path, url: str | None = None) -> dict[str, Any]:
             rows |= {(file.name, *row) for row in database.execute(query)}
     found["rows"] = rows
     if url or (project / "mlruns" / "optuna.db").is_file():
-        storage = optuna.storages.RDBStorage(ProjectPaths(project, url).optuna_url)
-        for study in storage.get_all_studies():
-            trials = storage.get_all_trials(study._study_id)
-            ended = [one for one in trials if one.state.is_finished() and one.state.name != "FAIL"]
-            found[f"trials of {study.study_name}"] = sorted(
-                (str(sorted(one.params.items())), one.state.name, str(one.values)) for one in ended
-            )
-        storage.remove_session()
-        storage.engine.dispose()
+        with storage_of(ProjectPaths(project, url)) as storage:
+            for study in storage.get_all_studies():
+                trials = storage.get_all_trials(study._study_id)
+                ended = [one for one in trials if one.state.is_finished() and one.state.name != "FAIL"]
+                found[f"trials of {study.study_name}"] = sorted(
+                    (str(sorted(one.params.items())), one.state.name, str(one.values)) for one in ended
+                )
     return found
 
 
