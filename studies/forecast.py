@@ -133,7 +133,8 @@ def _simulations(task: Task, command: str, given: Mapping[str, Any]) -> Iterator
     elif command != "calibrate":
         yield "simulate", missing_rows(task)[0]
         if command == "run":
-            yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)
+            if task.profile.sensitivity.model == "fmu":
+                yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)
             yield "polish", n_polish * len(task.profile.data.n_train)
     elif given.get("method") == "paper" or given.get("n_train"):
         yield "polish", n_polish * (len(sizes(given.get("n_train"))) or len(tuned_by_size(task)))

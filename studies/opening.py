@@ -98,6 +98,7 @@ def _changed(profile: "Profile", verb: str, keywords: Mapping[str, Any]) -> "Pro
 
     given = {name: value for name, value in keywords.items() if value is not None}
     data, tuning, polish = profile.data, profile.tuning, profile.polish
+    sensitivity = replace(profile.sensitivity, model="fmu") if given.get("fmu") else profile.sensitivity
     if "n_train" in given and verb not in ("calibrate", "uncertainty", "predict"):
         data = replace(data, n_train=tuple(sorted(set(sizes(given["n_train"])))))
     if given.get("surrogate", tuning.surrogate) != tuning.surrogate:
@@ -108,7 +109,7 @@ def _changed(profile: "Profile", verb: str, keywords: Mapping[str, Any]) -> "Pro
     if "max_calls" in given and verb != "uncertainty":
         polish = replace(polish, max_calls=given["max_calls"])
     seed = given.get("seed", profile.seed)
-    changed = replace(profile, seed=seed, data=data, tuning=tuning, polish=polish)
+    changed = replace(profile, seed=seed, data=data, tuning=tuning, polish=polish, sensitivity=sensitivity)
     if "simulations" in given:
         data = data if "n_train" in given else replace(data, n_train=())
         return replace(changed, budget=Budget(given["simulations"]), data=data)

@@ -72,13 +72,15 @@ class Budget:
 
 @dataclass(frozen=True, config=STRICT)
 class SensitivityBudget:
-    """How many simulations the Sobol indices get.
+    """What the Sobol indices are estimated from.
 
     Args:
-        n_base: base samples, a power of two; costs n_base (p + 2) simulations.
+        model: "surrogate" asks the best surrogate and simulates nothing; "fmu" asks the FMU.
+        n_base: base samples of the FMU, a power of two; they take n_base (p + 2) simulations.
         n_resamples: bootstrap draws of the confidence intervals.
     """
 
+    model: Literal["surrogate", "fmu"] = "surrogate"
     n_base: Sample = 256
     n_resamples: Sample = 100
 

@@ -161,6 +161,7 @@ def simulate(
 def sensitivity(
     case: str | Path | HasPath = "office",
     *,
+    fmu: bool = False,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
@@ -177,6 +178,7 @@ def sensitivity(
 
     Args:
         case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
+        fmu: Ask the FMU, by simulations; False for what the profile says, mostly the best surrogate.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
@@ -268,6 +270,7 @@ def run(
     max_hours: float | None = None,
     max_calls: int | None = None,
     again: bool = False,
+    fmu: bool = False,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
@@ -290,6 +293,7 @@ def run(
         max_hours: No trial begins later; the same call continues. [h]
         max_calls: Most simulations of one polish; None for the profile's.
         again: Repeat the calibrations if they are finished.
+        fmu: Sobol indices of the FMU; False for what the profile says, mostly of the best surrogate.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
@@ -335,7 +339,7 @@ def run(
     say_warnings(task.console, checked.result)
     warn_of_hours(task)
     simulated = simulate_stage(task)
-    before = [checked, simulated, sensitivity_stage(task), tune_stage(task, simulated)]
+    before = [checked, simulated, tune_stage(task, simulated), sensitivity_stage(task)]
     sizes = task.profile.data.n_train
     calibrated = [calibrate_stage(task, n, again=again) for n in sizes]
     stages = (*before, *calibrated, report_stage(task))

@@ -70,6 +70,11 @@ SIMULATION = (
     ),
 )
 SIMULATED = (*CASE, *SIMULATION)
+FMU = Option(
+    "--fmu",
+    action="store_true",
+    help="Sobol indices of the FMU, by simulations; default: of the best surrogate",
+)
 DRY_RUN = Option("--dry-run", action="store_true", help="show the plan and how long it takes; write nothing")
 TRIALS = (
     Option("--trials", metavar="N", help="trials per size in total; default: the profile's"),

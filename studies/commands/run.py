@@ -1,6 +1,6 @@
 """Do all stages in order and skip finished ones.
 
-What happens: check, simulate, sensitivity, tune, calibrate (every size), report. Optuna tunes the latent
+What happens: check, simulate, tune, sensitivity, calibrate (every size), report. Optuna tunes the latent
 dimension, the width of the hidden layers and beta of a PELS-VAE for each training-set size. A finished
 stage is skipped; an interrupted stage goes on where it stopped. The report is
 mlruns/reports/<label>/index.html.
@@ -27,6 +27,7 @@ OPTIONS = (
     *options.SIMULATED,
     *options.TUNING,
     *options.calls("most FMU calls of one polish; default: the profile's"),
+    options.FMU,
 )
 
 

@@ -1,11 +1,13 @@
 """Estimate first- and total-order Sobol indices per time step.
 
-What happens: the command simulates Saltelli's sample on the FMU. It estimates the indices with bootstrapped
-confidence intervals at every output step. Results:
+What happens: the command asks the best surrogate of the label for Saltelli's sample, which simulates nothing.
+With --fmu it simulates the sample on the FMU. It estimates the indices at every output step, with 95 %
+confidence intervals. They are bootstrapped; those of a surrogate also hold its own error. Results:
 mlruns/results/<label>/sensitivity.json and .npz. The table shows averages over time.
 
 Examples:
-  studies sensitivity
+  studies sensitivity                            after `studies run` or `studies tune`
+  studies sensitivity --fmu                      n_base (p + 2) simulations; n_base is the profile's
   studies sensitivity office --window 8-16 --json
 """
 
@@ -15,7 +17,7 @@ from studies.commands import options
 from studies.commands.hand_over import document, keywords_of
 from studies.words.console import Console
 
-OPTIONS = options.SIMULATED
+OPTIONS = (*options.SIMULATED, options.FMU)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

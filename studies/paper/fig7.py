@@ -15,7 +15,7 @@ from studies.paper.published import N_IMPORTANT
 from studies.physical_model import open_physical_model
 from studies.reporting.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.stages.calibrate_stage import best_surrogate
-from studies.stages.sensitivity_stage import sensitivity_stage
+from studies.stages.sensitivity_stage import fmu_sensitivity_stage
 from studies.stages.simulate_stage import TEST_SEED
 from studies.surrogate_model import SurrogateModel
 from studies.task import Task
@@ -78,7 +78,7 @@ def run(plan: Plan) -> Shown:
 
 def important_parameters(task: Task) -> tuple[str, ...]:
     """Return the six parameters of largest first-order Sobol index, averaged over time (Fig. 5)."""
-    indices = sensitivity_stage(task).result
+    indices = fmu_sensitivity_stage(task).result
     return tuple(indices.names[i] for i in indices.order()[:N_IMPORTANT])
 
 

@@ -30,6 +30,7 @@ from studies.reporting.drawing import (
     with_gaps,
 )
 from studies.reporting.figures_calibration import limit_lines, output_axis
+from studies.reporting.tables import asked_of
 from studies.words.wording import axis_label, count, percent, significant
 
 
@@ -104,7 +105,7 @@ def sensitivity_figure(found: SobolIndices) -> Figure:
             name = f"{kind}, {shortened(output)}{undefined}"
             panels.append(Panel(name, axis, Axis("share of the variance [1]"), series))
     caption = (
-        f"From {count(found.n_calls, 'simulation')} of the FMU; the {len(SERIES)} largest are shown. "
+        f"From {asked_of(found)}; the {len(SERIES)} largest are shown. "
         "What the first orders miss to 1 are interactions."
     )
     return Figure("Sobol indices over time", tuple(panels), shows_names=True, caption=caption)

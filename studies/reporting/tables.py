@@ -118,7 +118,14 @@ def sensitivity_table(found: SobolIndices) -> Table:
         for k, output in enumerate(found.output_names)
         for i in found.order(k)
     ]
-    return Table("Sobol indices, averaged over time", columns, rows)
+    return Table(f"Sobol indices, averaged over time, from {asked_of(found)}", columns, rows)
+
+
+def asked_of(found: SobolIndices) -> str:
+    """Say what Sobol indices are estimated from."""
+    if found.n_train is None:
+        return f"{count(found.n_calls, 'simulation')} of the FMU"
+    return f"the surrogate of n_train = {found.n_train}, its own error in the ±"
 
 
 def _index(value: float) -> str:

@@ -1,5 +1,8 @@
-"""The stage that estimates Sobol indices: of the physical model, or of the best surrogate of it."""
+"""The stage that estimates Sobol indices: of the best surrogate, or of the physical model itself."""
 
+import math
+
+from simulation.errors import InputError
 from studies.calibration.sobol import SobolIndices, sobol_indices, with_error_of_surrogate
 from studies.physical_model import open_physical_model, say_reused
 from studies.results.declaration import UNEXPLAINED
@@ -13,9 +16,27 @@ from studies.task import Task
 
 # Of a surrogate, which costs no simulation: enough that the sample's error is the smaller one.
 N_BASE = 1024
+# Values that it predicts for them at most, 0.8 GB; of longer outputs fewer base samples are taken.
+MOST_VALUES = 100_000_000
 
 
 def sensitivity_stage(task: Task) -> Outcome[SobolIndices]:
+    """Estimate the Sobol indices, of what the profile says.
+
+    Raises:
+        InputError: that is a surrogate, and none is tuned yet.
+    """
+    if task.profile.sensitivity.model == "fmu":
+        return fmu_sensitivity_stage(task)
+    try:
+        best = tuned_with_best(task, None)
+    except InputError as error:
+        raise InputError(f"{error}; or ask the FMU: studies sensitivity {task.command} --fmu") from error
+    by_error = {n: math.inf if one.value is None else one.value for n, one in best.items()}
+    return surrogate_sensitivity_stage(task, min(by_error, key=by_error.__getitem__))
+
+
+def fmu_sensitivity_stage(task: Task) -> Outcome[SobolIndices]:
     """Estimate the Sobol indices of the physical model, by simulations."""
     budget = task.profile.sensitivity
     n_rows = budget.n_base * (task.case.parameter_space.n_parameters + 2)
@@ -54,11 +75,17 @@ def sensitivity_stage(task: Task) -> Outcome[SobolIndices]:
 def surrogate_sensitivity_stage(task: Task, n_train: int) -> Outcome[SobolIndices]:
     """Estimate the Sobol indices of the best surrogate of a size, which costs no simulation."""
     best = tuned_with_best(task, [n_train])[n_train]
-    budget = task.profile.sensitivity
+    unexplained = best.metrics.get(f"{best.spec.judged_by}{UNEXPLAINED}")
+    if unexplained is None:
+        raise InputError(
+            f"trial {best.number} of {best.spec.name} was made by a version that did not note how much its "
+            f"surrogate leaves unexplained; tune again, or type: studies sensitivity {task.command} --fmu"
+        )
+    budget, n_base = task.profile.sensitivity, _n_base(task)
     inputs = {
         "case": task.case.digest,
         "surrogate": best.weights_sha256,
-        "n_base": N_BASE,
+        "n_base": n_base,
         "n_resamples": budget.n_resamples,
         "seed": task.profile.seed,
     }
@@ -75,7 +102,15 @@ def surrogate_sensitivity_stage(task: Task, n_train: int) -> Outcome[SobolIndice
             case.measurement.time,
             n_jobs=task.n_jobs,
         )
-        found = sobol_indices(model, n_base=N_BASE, seed=task.profile.seed, n_resamples=budget.n_resamples)
-        return with_error_of_surrogate(found, n_train, best.metrics[f"{best.spec.judged_by}{UNEXPLAINED}"])
+        found = sobol_indices(model, n_base=n_base, seed=task.profile.seed, n_resamples=budget.n_resamples)
+        return with_error_of_surrogate(found, n_train, unexplained)
 
     return stage.once(estimate, log=log_sensitivity)
+
+
+def _n_base(task: Task) -> int:
+    """Return how many base samples a surrogate of a case is asked, a power of two."""
+    measurement = task.case.measurement
+    n_values = len(measurement.time) * len(measurement.output_names)
+    most = MOST_VALUES // (n_values * (task.case.parameter_space.n_parameters + 2))
+    return int(min(N_BASE, 1 << max(most, 2).bit_length() - 1))

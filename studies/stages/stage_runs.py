@@ -105,7 +105,8 @@ def log_sensitivity(task: Task, outcome: Outcome[SobolIndices]) -> None:
         for name, means in found.mean.items()
         for order, value in zip(orders, means, strict=True)
     }
-    params = {"n_base": found.n_base, "seed": task.profile.seed}
+    asked = "FMU" if found.n_train is None else f"surrogate, n_train = {found.n_train}"
+    params = {"model": asked, "n_base": found.n_base, "seed": task.profile.seed}
     _log(task, outcome, "sensitivity", params=params, metrics=metrics)
 
 

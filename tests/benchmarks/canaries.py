@@ -29,7 +29,7 @@ LABEL, LIMIT_S = "wall-tiny-d1-2", 300.0
 ALL: dict[str, tuple[str, ...]] = {
     **COMMANDS,
     "check": ("check", *TASK, "--again"),
-    "sensitivity": ("sensitivity", *TASK, "--again"),
+    "sensitivity": ("sensitivity", *TASK, "--fmu"),
     "calibrate (paper)": ("calibrate", *TASK, "--method", "paper", "--n-train", "8", "--again"),
     "status": ("status",),
     "write": ("best", "wall", "--write", "csv", "values.csv"),

@@ -47,7 +47,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("new", "fmus/wall/Wall.fmu", "--to", "fmus/own", "-q"),
     ("check", *STUDY),
     ("simulate", *STUDY),
-    ("sensitivity", *STUDY),
+    ("sensitivity", *STUDY, "--fmu"),
     ("tune", *STUDY),
     ("calibrate", *STUDY, "--method", "paper", "--n-train", "32"),
     ("calibrate", *STUDY, "--max-calls", "12"),

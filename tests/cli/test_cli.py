@@ -134,11 +134,19 @@ def test_ui_refuses_a_label_without_work(project: Path, studies: Run) -> None:
     assert "MLflow has no experiment 'office-quik'; there are: none" in answer.err
 
 
+def test_indices_without_a_surrogate_name_what_to_type(new_project: Path, studies: Run) -> None:
+    answer = studies("sensitivity", "--profile", "smoke")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.count("\n") == 1
+    assert "type: studies tune office --profile smoke; or ask the FMU: " in answer.err
+    assert answer.err.endswith("studies sensitivity office --profile smoke --fmu\n")
+
+
 def test_a_plan_says_what_is_to_do_and_writes_nothing(new_project: Path, studies: Run) -> None:
     before = sorted(new_project.rglob("*"))
     document = studies("run", "--profile", "smoke", "--dry-run", "--json").document
     assert document["n_simulations"] == 96
-    assert [one["stage"] for one in document["plan"]] == ["simulate", "sensitivity", "polish"]
+    assert [one["stage"] for one in document["plan"]] == ["simulate", "polish"]
     assert all(one["simulations_s"] > 0.0 for one in document["plan"])
     assert document["sizes"] == [
         {"n_train": n_train, "n_left": 2, "training_s": None} for n_train in (16, 32)

@@ -138,6 +138,23 @@ def test_a_second_run_finds_everything_finished(
     assert open_runs(project) == []
 
 
+def test_the_best_surrogate_gives_the_indices_and_the_fmu_where_it_is_asked(
+    whole_run: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(whole_run, tmp_path / "project", monkeypatch)
+    command = ("sensitivity", "--profile", "smoke", "--json", "-q")
+    before = sum(map(len, stored_simulations(project, "office").values()))
+    values = {
+        one.spec.n_train: one.best.value or 1.0 for one in read_studies(ProjectPaths(project)) if one.best
+    }
+    asked = studies(*command).stage
+    assert asked["n_train"] == min(values, key=values.__getitem__)
+    assert sum(map(len, stored_simulations(project, "office").values())) == before
+    simulated = studies(*command, "--fmu").stage
+    assert (simulated.get("n_train"), simulated["n_calls"]) == (None, 8 * 16)
+    assert sum(map(len, stored_simulations(project, "office").values())) > before
+
+
 def test_an_interrupted_run_ends_the_same(
     tmp_path: Path, whole_run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
