@@ -207,6 +207,8 @@ def is_finished_before(words: tuple[str, ...], code: int, said: str) -> bool:
 def answered(answer: str, project: Project) -> dict[str, Any]:
     """Return the numbers that a command with `--json` answers."""
     answer = answer.replace(str(project.folder), "project")
+    if project.url:
+        answer = answer.replace(f"/{project.url.rpartition('/')[2]}?", "/database?")
     return {"answer": numbers_of(json.loads(answer))} if answer.startswith("{") else {}
 
 
