@@ -21,6 +21,10 @@ def errors_at(place: object) -> Iterator[None]:
         raise type(error)(f"{place}: {error}") from None
 
 
+class OutOfTimeError(RuntimeError):
+    """Rows were not begun, as the time of their model is over; what has finished was handed over."""
+
+
 class ReuseError(RuntimeError):
     """Simulations of one process depended on each other; those that may be wrong are removed.
 

@@ -105,6 +105,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "simulations": whole(16),
     "parallel": whole(1, 1000),
     "max_hours": positive,
+    "max_minutes": positive,
     "max_calls": whole(1),
     "target": positive,
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
-from simulation.errors import ReuseError
+from simulation.errors import OutOfTimeError, ReuseError
 from simulation.experiments import JoinedModel
 from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
@@ -32,6 +32,8 @@ from studies.paths import ProjectPaths
 from studies.results.outcome import read_manifest
 from studies.simulation_time import Timed, note_time
 from studies.task import StageError, Task
+
+TIME_OVER = "--max-hours ended it; the finished simulations are kept, and the same command goes on"
 
 
 def store_file(paths: ProjectPaths, case: Case) -> Path:
@@ -55,7 +57,7 @@ def open_physical_model(
         the model. Rows that are stored are not simulated; `unstored` asks it anew and keeps nothing.
 
     Raises:
-        StageError: too many simulations fail; those that are finished are kept.
+        StageError: too many simulations fail, or --max-hours is over; those that are finished are kept.
         ReuseError: simulations of one process depended on each other; those that may be wrong are removed,
             with the results that came from them.
     """
@@ -84,6 +86,7 @@ def open_physical_model(
         model = opened.enter_context(pool)
         # So few simulations that none has to be repeated to prove that it forgets the one before.
         model.always_new = task.profile.is_budgeted
+        model.begins_until_s = task.until_s
         stored = StoredModel(model, stores[0], retry_failed=task.retry_failed)
         if case.layout is not None:
             store = JoinedStore(store_file(task.paths, case), stores, case.layout)
@@ -94,6 +97,8 @@ def open_physical_model(
             yield stored
         except TooManyFailuresError as stopped:
             raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+        except OutOfTimeError as over:
+            raise StageError(TIME_OVER) from over
         except ReuseError:
             give_up_reuse(task)
             raise

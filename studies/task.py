@@ -1,6 +1,8 @@
 """What a command does and with what: a case, a profile, folders, processes."""
 
-from dataclasses import dataclass
+import math
+import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +35,9 @@ class Task:
         typed: the whole command line, as records and the report give it.
         retry_failed: whether failed simulations are retried.
         dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
-        max_hours: no trial begins later than this after the tuning did; None sets no limit. [h]
+        max_hours: no simulation and no trial begins later than this after the command did; None sets no
+            limit. [h]
+        began_s: when the command began, on the monotonic clock. [s]
     """
 
     case: "Case"
@@ -47,6 +51,12 @@ class Task:
     retry_failed: bool = False
     dask: str | None = None
     max_hours: float | None = None
+    began_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def until_s(self) -> float:
+        """When nothing begins any more, on the monotonic clock; infinite for never. [s]."""
+        return math.inf if self.max_hours is None else self.began_s + 3600.0 * self.max_hours
 
     def provenance(self, *, kind: str, **more: Any) -> dict[str, Any]:
         """Return what makes a result of this study again, as JSON values.

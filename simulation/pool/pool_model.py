@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
-from simulation.errors import InputError
+from simulation.errors import InputError, OutOfTimeError
 from simulation.parameters import ParameterSpace
 from simulation.pool.chunks import RowQueue
 from simulation.pool.execution import ExecutionPolicy
@@ -121,6 +121,7 @@ class PoolModel:
 
     Attributes:
         always_new: Whether each row gets a process of its own, whatever that costs.
+        begins_until_s: When to begin no further row, on the monotonic clock; infinite for never. [s]
     """
 
     def __init__(
@@ -166,6 +167,7 @@ class PoolModel:
             digest = send_file(file) if send_file is not None and isinstance(file, Path) else ""
             self._remote = RemoteModel(packed(make_model), digest, self._policy)
         self.always_new = False
+        self.begins_until_s = inf
         self._seen = Durations()
         self._has_warned = False
 
@@ -256,12 +258,16 @@ class PoolModel:
 
         Raises:
             InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
+            OutOfTimeError: If rows were not begun before `begins_until_s`.
         """
         theta = self.parameter_space.rows(theta)
         batch = _Batch(self, theta, new_process)
         try:
             while (batch.queue.n_waiting or batch.running) and monotonic() < until:
-                batch.hand_out()
+                if monotonic() < self.begins_until_s:
+                    batch.hand_out()
+                elif not batch.running:
+                    raise OutOfTimeError(f"{batch.queue.n_waiting} of {len(theta)} rows were not begun")
                 for future in wait(batch.running, _TICK_S, FIRST_COMPLETED).done:
                     yield from batch.finished(future)
                 batch.warn_of_slow_row()

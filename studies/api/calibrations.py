@@ -211,6 +211,7 @@ def calibrate(
     method: Method | None = None,
     n_train: int | Sequence[int] | None = None,
     max_calls: int | None = None,
+    max_hours: float | None = None,
     parallel: int | None = None,
     target: float | None = None,
     from_stored: bool | None = None,
@@ -237,6 +238,7 @@ def calibrate(
         n_train: Training-set sizes of the paper's method; None for all that have a surrogate.
         max_calls: Most simulations of an adaptive calibration (None: 100) or of one polish (None: the
             profile's).
+        max_hours: No simulation begins later; the same call continues. [h]
         parallel: Simulations per round of an adaptive calibration; None for 1.
         target: Error until which an adaptive calibration goes on. [first output's unit squared]
         from_stored: Whether an adaptive calibration begins with the stored simulations of this model.

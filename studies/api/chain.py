@@ -231,7 +231,7 @@ def tune(
         n_train: Training-set sizes; None for the profile's.
         trials: Trials per size in all; None for the profile's.
         parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.
-        max_hours: No trial begins later; the same call continues. [h]
+        max_hours: No simulation and no trial begins later; the same call continues. [h]
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
@@ -290,7 +290,7 @@ def run(
         n_train: Training-set sizes; None for the profile's.
         trials: Trials per size in all; None for the profile's.
         parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.
-        max_hours: No trial begins later; the same call continues. [h]
+        max_hours: No simulation and no trial begins later; the same call continues. [h]
         max_calls: Most simulations of one polish; None for the profile's.
         again: Repeat the calibrations if they are finished.
         fmu: Sobol indices of the FMU; False for what the profile says, mostly of the best surrogate.

@@ -99,6 +99,7 @@ def check(
     case: str | Path | HasPath = "office",
     *,
     thorough: bool = False,
+    max_minutes: float | None = None,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
     seed: int | None = None,
@@ -114,6 +115,7 @@ def check(
     Args:
         case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
         thorough: Skip no examination, however long the simulations take.
+        max_minutes: Simulating time after the first simulation; None for 10. [min]
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
@@ -132,10 +134,13 @@ def check(
         StageError: A stage failed.
     """
     task = opened("check", locals())
+    from studies.doctor.budget import EXAMINATION_S
     from studies.stages.check_stage import check_stage
 
     task.console.say(NATIVE_CODE)
-    return CheckResult(task, check_stage(task, again=True, is_thorough=thorough))
+    limit_s = EXAMINATION_S if max_minutes is None else 60.0 * max_minutes
+    found = check_stage(task, again=True, is_thorough=thorough, limit_s=limit_s)
+    return CheckResult(task, found)
 
 
 @verb
@@ -146,6 +151,7 @@ def uncertainty(
     n_train: int | None = None,
     noise: Noise = "correlated",
     max_calls: int | None = None,
+    max_hours: float | None = None,
     again: bool = False,
     profile: str | Path = "quick",
     window: str | tuple[float, float] | None = None,
@@ -167,6 +173,7 @@ def uncertainty(
         n_train: The calibration with this training-set size; None for the best.
         noise: Model of the residuals.
         max_calls: Most simulations; None for 20 per parameter, at least 100.
+        max_hours: No simulation begins later; the same call continues. [h]
         again: Repeat it if it is finished.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.

@@ -71,6 +71,7 @@ OPTIONS = (
     Option("--target", metavar="MSE", help="adaptive: go on until this error"),
     options.sizes("paper: training-set sizes; default: all that have a surrogate"),
     *options.calls("most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"),
+    options.MAX_HOURS,
     options.DRY_RUN,
 )
 

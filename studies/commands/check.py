@@ -6,7 +6,7 @@ simulation in another process and with half the communication step, and measures
 If nothing fits, it tries columns of one unit in another order and numbers with another sign. Of a case with
 experiments, parameters and numbers of values are judged over all of them. The FMU runs in separate
 processes: a crash or a hang becomes a line of the table. The first simulation may take as long as the case
-allows. After it the check simulates for two minutes at most, its own limit, and names what it skipped for a
+allows. After it the check simulates for ten minutes at most, --max-minutes, and names what it skipped for a
 slow model; --thorough skips nothing. The study uses the simulations of the check again, and `studies run`
 does not repeat a check that passed. The exit code is 1 if anything fails. Each finding says what to do.
 
@@ -14,6 +14,7 @@ Examples:
   studies check                            the office
   studies check fmus/office/case.toml      a case file of your own
   studies check office --window 8-16 --profile paper --json
+  studies check slow-model --max-minutes 60
   studies check slow-model --thorough      however long it takes
 """
 
@@ -27,6 +28,9 @@ OPTIONS = (
     *options.CASE,
     options.Option(
         "--thorough", action="store_true", help="skip no check, however long the simulations take"
+    ),
+    options.Option(
+        "--max-minutes", metavar="M", help="simulate for M minutes at most after the first one; default: 10"
     ),
 )
 

@@ -75,6 +75,11 @@ FMU = Option(
     action="store_true",
     help="Sobol indices of the FMU, by simulations; default: of the best surrogate",
 )
+MAX_HOURS = Option(
+    "--max-hours",
+    metavar="H",
+    help="begin no simulation and no trial after H hours; the same command continues later",
+)
 DRY_RUN = Option("--dry-run", action="store_true", help="show the plan and how long it takes; write nothing")
 TRIALS = (
     Option("--trials", metavar="N", help="trials per size in total; default: the profile's"),
@@ -115,11 +120,7 @@ TUNING = (
         metavar="N",
         help="trials of one size at the same time; default: 1, which makes the trials repeatable",
     ),
-    Option(
-        "--max-hours",
-        metavar="H",
-        help="start no trial after H hours; the same command continues later",
-    ),
+    MAX_HOURS,
 )
 EVERYWHERE = (
     Option(

@@ -36,6 +36,7 @@ OPTIONS = (
         help="model of the residuals; default: correlated",
     ),
     *options.calls("most FMU calls; default: 20 per parameter, at least 100"),
+    options.MAX_HOURS,
 )
 
 

@@ -6,7 +6,7 @@ from time import monotonic
 
 from simulation.pool.execution import ExecutionPolicy
 
-EXAMINATION_S = 120.0
+EXAMINATION_S = 600.0
 """Simulating time of an examination that is not thorough, after its first simulation. [s]"""
 SLOWER = 20.0
 """A row may take so many times what the estimates take, and LEAST_S more: corners are harder for a solver."""

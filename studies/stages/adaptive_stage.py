@@ -1,14 +1,13 @@
 """The stage that calibrates without a surrogate: it needs the case alone, and loses no simulation."""
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from simulation.case import Case
-from simulation.errors import InputError
+from simulation.errors import InputError, OutOfTimeError
 from simulation.pool.execution import commonest
 from simulation.store.stored_model import StoredModel
 from studies.calibration.hidden_network.inputs import network_of_stores
@@ -20,7 +19,13 @@ from studies.calibration.search.row_choice import best_and_far
 from studies.calibration.state_equations.experiments_ode import learned_ode
 from studies.calibration.state_equations.learned_ode import LEAST_CALLS, LearnedODE
 from studies.calibration.state_equations.states import StateSignals, why_unwatched
-from studies.physical_model import StoredWatchedModel, open_physical_model, open_watched_model, say_reused
+from studies.physical_model import (
+    TIME_OVER,
+    StoredWatchedModel,
+    open_physical_model,
+    open_watched_model,
+    say_reused,
+)
 from studies.results.outcome import Outcome, digest_of
 from studies.results.stage_results import ADAPTIVE, Calibration, EquationsFound
 from studies.simulation_time import duration
@@ -149,14 +154,18 @@ def calibrate_adaptively(
             known = rows.judged(physical, problem)
         _say_start(task, physical, None if known is None else known.n)
         n_read = physical.n_reused
-        result = settings.minimize(
-            problem,
-            seed=task.profile.seed,
-            known=known,
-            learned_ode=learned_ode,
-            network_inputs=None if state_equations else network_of_stores(case),
-            on_progress=_reporter(task, physical, bars),
-        )
+        reporter = _Reporter(task, physical, bars)
+        try:
+            result = settings.minimize(
+                problem,
+                seed=task.profile.seed,
+                known=known,
+                learned_ode=learned_ode,
+                network_inputs=None if state_equations else network_of_stores(case),
+                on_progress=reporter,
+            )
+        except OutOfTimeError as over:
+            raise StageError(f"{TIME_OVER}; {reporter.news or 'no call'} so far") from over
         if not np.isfinite(result.mse):
             raise _hopeless(task, physical)
         repeated = repeat_best(physical, result.theta, result.n_calls)
@@ -192,34 +201,39 @@ def _say_start(task: Task, physical: StoredModel, n_start: int | None) -> None:
         task.console.say(f"{stored} of this model: --from-stored begins with the best")
 
 
-def _reporter(task: Task, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
-    """Return what reports every round, on a bar or now and then in a line, and ends a hopeless search."""
-    unit = square_of(task.case.outputs[0].unit)
-    last_said = time.monotonic()
+class _Reporter:
+    """Reports every round, on a bar or now and then in a line, and ends a hopeless search.
 
-    def report(now: Progress) -> None:
-        nonlocal last_said
+    Attributes:
+        news: The calls so far and the best error; "" before the first.
+    """
+
+    def __init__(self, task: Task, physical: StoredModel, bars: OnBar) -> None:
+        self._task, self._physical, self._bars = task, physical, bars
+        self._last_said = time.monotonic()
+        self.news = ""
+
+    def __call__(self, now: Progress) -> None:
+        task, case, failures = self._task, self._task.case, self._physical.failures
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
-            raise _hopeless(task, physical)
-        name, n_failed = task.case.measurement.error_name, len(physical.failures)
-        best = f"best {name} {quantity(now.best_mse, unit, 4)}"
-        if task.case.policy.is_hopeless(now.n_done, n_failed):
+            raise _hopeless(task, self._physical)
+        best = f"best {case.measurement.error_name} "
+        best += quantity(now.best_mse, square_of(case.outputs[0].unit), 4)
+        if case.policy.is_hopeless(now.n_done, len(failures)):
             raise StageError(
-                f"{n_failed} of {count(now.n_done, 'simulation')} failed, more than "
-                f"simulation.max_failed_share = {task.case.policy.max_failed_share:g} allows; the commonest "
-                f"reason: {commonest(physical.failures)[0]}; {best} so far, and the finished simulations are "
+                f"{len(failures)} of {count(now.n_done, 'simulation')} failed, more than "
+                f"simulation.max_failed_share = {case.policy.max_failed_share:g} allows; the commonest "
+                f"reason: {commonest(failures)[0]}; {best} so far, and the finished simulations are "
                 f"kept; narrow the bounds (studies check {task.command} says where it fails) or raise the "
                 "share"
             )
         calls = count(now.n_done, "call")
-        known = f"{calls}, {best}" if np.isfinite(now.best_mse) else calls
-        news = f"{known}, now: {now.thinks_of}" if now.thinks_of else known
-        bars("adaptive", now.n_done, now.n_total or now.n_done, f", {news}")
-        if not task.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:
-            last_said = time.monotonic()
+        self.news = f"{calls}, {best}" if np.isfinite(now.best_mse) else calls
+        news = f"{self.news}, now: {now.thinks_of}" if now.thinks_of else self.news
+        self._bars("adaptive", now.n_done, now.n_total or now.n_done, f", {news}")
+        if not task.console.is_live and time.monotonic() - self._last_said > NEWS_EVERY_S:
+            self._last_said = time.monotonic()
             task.console.say(f"{STAGE}: {news}")
-
-    return report
 
 
 def _hopeless(task: Task, physical: StoredModel) -> StageError:

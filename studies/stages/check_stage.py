@@ -1,6 +1,7 @@
 """The examination of a case as a stage: done once per case, unless asked for."""
 
 from studies.doctor import Diagnosis, examine
+from studies.doctor.budget import EXAMINATION_S
 from studies.results.outcome import Outcome
 from studies.stages.finished import stored
 from studies.stages.knowledge import declared_inputs
@@ -8,8 +9,17 @@ from studies.stages.pipeline import Stage
 from studies.task import Task
 
 
-def check_stage(task: Task, *, again: bool = False, is_thorough: bool = False) -> Outcome[Diagnosis]:
-    """Examine the case unless it was found sound before, or again."""
+def check_stage(
+    task: Task, *, again: bool = False, is_thorough: bool = False, limit_s: float = EXAMINATION_S
+) -> Outcome[Diagnosis]:
+    """Examine the case unless it was found sound before, or again.
+
+    Args:
+        task: the task.
+        again: examine it though it was found sound.
+        is_thorough: whether nothing is left out.
+        limit_s: simulating time of an examination that is not thorough. [s]
+    """
     inputs = {
         "case": task.case.digest,
         "measurement": task.case.measurement.digest,
@@ -17,7 +27,9 @@ def check_stage(task: Task, *, again: bool = False, is_thorough: bool = False) -
     }
     stage = Stage(task, "check", f"examining {task.label}", inputs, Diagnosis)
     return stage.once(
-        lambda: examine(task, is_thorough=is_thorough), again=again, is_kept=lambda found: found.is_sound
+        lambda: examine(task, is_thorough=is_thorough, limit_s=limit_s),
+        again=again,
+        is_kept=lambda found: found.is_sound,
     )
 
 

@@ -89,7 +89,7 @@ def tune_stage(task: Task, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
             n_trials=budget.n_trials,
             n_jobs=task.n_jobs,
             n_parallel=budget.n_parallel,
-            until_s=None if task.max_hours is None else time.monotonic() + 3600.0 * task.max_hours,
+            until_s=task.until_s,
             provenance=task.provenance(kind="training"),
             on_trials=show,
             on_warning=task.console.warn,

@@ -200,6 +200,7 @@ def test_an_interrupted_run_ends_the_same(
 
 def test_a_limit_in_time_before_the_first_trial_is_said(project: Path, studies: Run) -> None:
     words = ("tune", "--profile", "smoke", "--n-train", "16")
+    assert studies("simulate", *words[1:3]).code == 0
     first = studies(*words, "--max-hours", "1e-9", "--parallel", "2")
     assert first.code == 1
     assert first.err.splitlines()[-1].endswith(
@@ -209,3 +210,17 @@ def test_a_limit_in_time_before_the_first_trial_is_said(project: Path, studies: 
     # The study is there, and the same command finds it.
     (known,) = (one for one in studies("status", "--json").document["studies"] if not one["is_baseline"])
     assert (known["n_train"], known["n_planned"], known["n_complete"]) == (16, 2, 0)
+
+
+def test_a_calibration_that_a_limit_in_time_ended_goes_on(
+    project: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("calibrate", "wall", "--max-calls", "12", "--no-state-equations", "--json")
+    late = studies(*words[:-1], "--max-hours", "1e-9")
+    assert (late.code, late.out) == (1, "")
+    assert late.err.splitlines()[-1].endswith(
+        "ended it; the finished simulations are kept, and the same command goes on; no call so far"
+    )
+    # Time for some of the simulations, whose processes take a tenth of a second each.
+    studies(*words, "--max-hours", str(0.7 / 3600.0))
+    assert studies(*words).stage["ledger"]["n_adaptive"] == 12
