@@ -133,7 +133,7 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
         InputError: If one cannot be read.
     """
     folder = path.parent / file.data
-    measured = list(filter(None, (output.source for output in file.outputs)))
+    measured = [column for output in file.outputs for column in output.columns]
     own = Path(os.path.realpath(path)).parent
     # A project has its cases in fmus/ and their recordings beside that.
     own = own.parents[1] if own.parent.name == "fmus" else own

@@ -189,6 +189,10 @@ class OutputTable(Table):
             value of a moment. Samples whose interval is not within the window are left out.
         mean_stamp: what of the interval the time of a sample is: its end, begin or centre.
         uncertainty: standard uncertainty of the sensor; without one, of the limits. [unit]
+        uncertainty_column: column of the file with the standard uncertainty of each sample, in place of
+            `uncertainty`. [unit]
+        uncertainty_share: part of the measured value that each sample is uncertain by, beside `uncertainty`.
+            [1]
         error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated: it weighs
             priors and intervals, and changes no error.
         correlation_time_s: the same for the error as well: the correlation time of autoregressive noise, of
@@ -211,7 +215,9 @@ class OutputTable(Table):
     column: Name | None = None
     mean_over_s: Positive | None = None
     mean_stamp: Literal["end", "begin", "centre"] = "end"
-    uncertainty: Positive
+    uncertainty: Positive | None = None
+    uncertainty_column: Name | None = None
+    uncertainty_share: Positive | None = None
     error_lasts_s: Positive | None = None
     correlation_time_s: Positive | None = None
     weight: Positive = 1.0
@@ -227,6 +233,7 @@ class OutputTable(Table):
         if self.accepted is not None and not self.accepted[0] < self.accepted[1]:
             low, high = self.accepted
             raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
+        self._check_uncertainty()
         missing = [key for key in ("file", "column") if getattr(self, key) is None]
         if len(missing) == 1:
             raise ValueError(f"key {missing[0]} is missing; add it")
@@ -248,11 +255,23 @@ class OutputTable(Table):
             raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
         return self
 
+    def _check_uncertainty(self) -> None:
+        """Check that it is said once how sure a sample is."""
+        if self.uncertainty_column is None and self.uncertainty is None:
+            raise ValueError("key uncertainty is missing; add it, or uncertainty_column")
+        if self.uncertainty_column is not None:
+            for key in ("uncertainty", "uncertainty_share"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"uncertainty_column says what {key} says; drop one of them")
+        if self.normalize is not None and (self.uncertainty_column or self.uncertainty_share):
+            raise ValueError("normalize is in place of uncertainties; drop it, or those of single samples")
+
     def _check_limits_alone(self) -> None:
         """Check an output that is not measured."""
         if not self.has_limits:
             raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
-        for key in ("error_lasts_s", "correlation_time_s", "mean_over_s"):
+        of_samples = ("uncertainty_column", "uncertainty_share")
+        for key in ("error_lasts_s", "correlation_time_s", "mean_over_s", *of_samples):
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} is of a sensor, and nothing is measured; drop it")
         if isinstance(self.normalize, str):
@@ -264,6 +283,12 @@ class OutputTable(Table):
     def source(self) -> tuple[str, str] | None:
         """File and column of the measurement, None where there is none."""
         return None if self.file is None or self.column is None else (self.file, self.column)
+
+    @property
+    def columns(self) -> list[tuple[str, str]]:
+        """File and column of all that is read for it."""
+        named = filter(None, (self.column, self.uncertainty_column))
+        return [] if self.file is None else [(self.file, column) for column in named]
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -279,12 +304,11 @@ class OutputTable(Table):
         """Whether the output has to stay within limits."""
         return self.at_least is not None or self.at_most is not None
 
-    @property
-    def robust_loss(self) -> RobustLoss | None:
-        """The robust loss, None for squares."""
+    def robust_loss(self, uncertainty: float) -> RobustLoss | None:
+        """Return the robust loss of a sensor with an uncertainty [unit], None for squares."""
         if self.loss == "squares":
             return None
-        return RobustLoss(self.loss, self.loss_scale or USUAL_SCALE * self.uncertainty)
+        return RobustLoss(self.loss, self.loss_scale or USUAL_SCALE * uncertainty)
 
 
 class PriorTable(Table):

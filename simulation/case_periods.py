@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.case_data import FROM_FIRST_ROW, CaseData
 from simulation.case_file import CaseFile, OutputTable
 from simulation.errors import InputError, errors_at
@@ -181,24 +181,24 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
             else:
                 recording, column = data.recordings[table.source[0]], table.source[1]
                 said = file.time.unit.period(period.compared_d)
-                one = _samples(
-                    recording, column, (begin_s, float(time[-1])), seen_s, said, interval=table.interval
-                )
+                one = _samples(recording, column, (begin_s, float(time[-1])), seen_s, said, table)
                 low, high = table.accepted or (-math.inf, math.inf)
                 for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
                     raise InputError(
                         f"accepted = [{low:g}, {high:g}] leaves out the measured {one.values[row]:g} at "
                         f"{one.time[row]:.12g} s; widen it, or empty that cell"
                     )
+            uncertainty = one.usual_deviation or table.uncertainty
+            assert uncertainty is not None, "the table says one of them"
             outputs.append(
                 MeasuredOutput(
                     table.name,
                     table.unit,
                     one,
-                    table.uncertainty,
+                    uncertainty,
                     _weight(table, one),
                     error_lasts_s=table.error_lasts_s or 0.0,
-                    loss=table.robust_loss,
+                    loss=table.robust_loss(uncertainty),
                     correlation_s=table.correlation_time_s or 0.0,
                     limits=its,
                 )
@@ -217,7 +217,7 @@ def _limits(table: OutputTable, time: FloatArray) -> Limits | None:
 
 def _weight(table: OutputTable, samples: Samples) -> float:
     """Return the weight of an output: differences are divided by the uncertainty, and normalized instead."""
-    if table.normalize is None:
+    if table.normalize is None or table.uncertainty is None:
         return table.weight
     if table.normalize == "range":
         size = float(np.ptp(samples.values))
@@ -238,14 +238,13 @@ def _samples(
     period_s: tuple[float, float],
     seen_s: float,
     said: str,
-    *,
-    interval: tuple[float, float],
+    table: OutputTable,
 ) -> Samples:
     """Return what was measured in a period [s], but for a moment seen already [s]; gaps have no sample.
 
     A mean is of the period in which the whole of its interval lies, relative to its time [s].
     """
-    values, slack = recording.columns[column], 1e-6 * recording.step_s
+    values, slack, interval = recording.columns[column], 1e-6 * recording.step_s, table.interval
     begin_s, end_s = period_s[0] - interval[0], period_s[1] - interval[1]
     inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
     if interval == MOMENT:
@@ -261,7 +260,41 @@ def _samples(
     # A sample that a rounding puts outside belongs to the first or last output time.
     named = f"{recording.time_column} = " if recording.clock == "seconds" else ""
     stamps = tuple(f"{named}{recording.stamps[row]}" for row in np.flatnonzero(inside) if recording.stamps)
-    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside], interval, stamps)
+    return Samples(
+        np.clip(recording.time[inside], begin_s, end_s),
+        values[inside],
+        interval,
+        stamps,
+        _deviations(recording, values, inside, table),
+    )
+
+
+def _deviations(
+    recording: Recording, values: FloatArray, inside: BoolArray, table: OutputTable
+) -> FloatArray | None:
+    """Return the standard uncertainty of each sample, None where all have that of the sensor. Shape (m,).
+
+    Args:
+        recording: Where they were measured.
+        values: All values of the recording. Shape (r,).
+        inside: Which of them are samples, m in all. Shape (r,).
+        table: The output.
+
+    Raises:
+        InputError: If one is missing or not above 0.
+    """
+    if table.uncertainty_share is not None:
+        return np.hypot(table.uncertainty or 0.0, table.uncertainty_share * values[inside])
+    if table.uncertainty_column is None:
+        return None
+    found = recording.columns[table.uncertainty_column]
+    for row in np.flatnonzero(inside & ~(found > 0.0))[:1]:
+        said = "is empty" if np.isnan(found[row]) else f"is {found[row]:g}"
+        raise InputError(
+            f"{recording.path}: line {row + recording.first_line}: {table.uncertainty_column} {said} beside "
+            "a measured value; give an uncertainty above 0, or empty both cells"
+        )
+    return found[inside]
 
 
 def _as_key(key: str, days: tuple[float, float], unit: TimeUnit) -> str:

@@ -87,13 +87,25 @@ def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
     return read
 
 
+def _without_rivals(usual: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return keys of an input or output without those that say what an experiment's own keys say."""
+    rivals = {
+        "uncertainty_column": {"uncertainty", "uncertainty_share"},
+        "uncertainty": {"uncertainty_column"},
+        "sum": {"column"},
+        "column": {"sum"},
+    }
+    gone = set[str]().union(*(rivals.get(key, set()) for key in own))
+    return {key: value for key, value in usual.items() if key not in gone}
+
+
 def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[str, Any]:
     """Return the content of a case file as if it were of one experiment alone."""
     whole = {key: value for key, value in content.items() if key != "experiments"}
     said = table.model_dump(exclude_unset=True, exclude={"name", "held_out", "weight"})
     for key in ("inputs", "outputs"):
         usual = {one["name"]: one for one in whole.get(key, [])}
-        own = [{**usual.get(one["name"], {}), **one} for one in said.pop(key, [])]
+        own = [{**_without_rivals(usual.get(one["name"], {}), one), **one} for one in said.pop(key, [])]
         # Inputs all need a source; outputs are what this experiment measured.
         kept = whole.get(key, []) if key == "inputs" or not own else []
         names = {one["name"] for one in own}

@@ -63,8 +63,14 @@ class MeasuredOutput:
         return simulated - self.samples.values
 
     def independent(self, simulated: FloatArray) -> FloatArray:
-        """Return the differences, whitened where errors are correlated. Shapes as in `differences`."""
+        """Return the differences as independent errors of the sensor's uncertainty.
+
+        They are whitened where errors are correlated, and scaled where samples have uncertainties of their
+        own. Shapes as in `differences`.
+        """
         differences = self.differences(simulated)
+        if self.samples.deviations is not None:
+            differences = differences * (self.uncertainty / self.samples.deviations)
         return differences if self.rho is None else whitened(differences, self.rho)
 
 
@@ -79,6 +85,7 @@ class Measurement:
 
     in the first output's unit squared: every output has the same say per weight, however often it was
     sampled. A sample that is a mean over an interval is compared with the mean of these lines over it.
+    Where samples have uncertainties of their own, s_k is replaced by that of the sample.
     For one output, or outputs sampled alike with weights of 1, this is the mean of all squared residuals.
     For an output with a robust loss, the square of the difference is replaced by its loss: the error is then
     a mean loss.
@@ -344,4 +351,8 @@ class Measurement:
             named += repr((lasts_s if any(lasts_s) else None, limits if any(limits) else ()))
         if any(one.samples.are_means for one in self.outputs):
             named += repr([one.samples.interval for one in self.outputs])
+        deviations = [one.samples.deviations for one in self.outputs]
+        if any(one is not None for one in deviations):
+            named += repr([one is not None for one in deviations])
+            arrays += [one for one in deviations if one is not None]
         return digest_of(named, *arrays)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 
 MOMENT = (0.0, 0.0)
 """Interval of a sample that is no mean."""
@@ -22,12 +22,15 @@ class Samples:
         interval: Of means: from when on and until when each of them goes, relative to its time; (0, 0) for
             values of moments. [s]
         stamps: The times as the recording writes them, to be found there again; empty where there is none.
+        deviations: Standard uncertainty of each; None where all have that of the sensor. Shape (m,).
+            [output's unit]
     """
 
     time: FloatArray
     values: FloatArray
     interval: tuple[float, float] = MOMENT
     stamps: tuple[str, ...] = ()
+    deviations: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.time.shape != self.values.shape or self.time.ndim != 1:
@@ -38,6 +41,10 @@ class Samples:
             raise ValueError("a sample is not finite; leave gaps out")
         if np.any(np.diff(self.time) <= 0):
             raise ValueError("sample times do not rise")
+        if self.deviations is not None and not (
+            self.deviations.shape == self.time.shape and np.all(self.deviations > 0.0)
+        ):
+            raise ValueError("each sample needs an uncertainty above 0")
         if self.interval[0] > self.interval[1]:
             raise ValueError(f"an interval from {self.interval[0]} to {self.interval[1]} s has no length")
 
@@ -57,6 +64,18 @@ class Samples:
             return place_of(grid, self.time)
         first, last = (_inside(grid, self.time + one) for one in self.interval)
         return MeanPlace(np.diff(grid), place_of(grid, first), place_of(grid, last), last - first)
+
+    @property
+    def usual_deviation(self) -> float | None:
+        """The deviation that all would have for the same sum of weights 1 / deviation^2. [output's unit]."""
+        if self.deviations is None:
+            return None
+        return float(np.mean(self.deviations**-2.0) ** -0.5)
+
+    def taken(self, kept: BoolArray, interval: tuple[float, float]) -> "Samples":
+        """Return some of them, of another interval [s] and without stamps. Mask of shape (m,)."""
+        deviations = None if self.deviations is None else self.deviations[kept]
+        return Samples(self.time[kept], self.values[kept], interval, deviations=deviations)
 
     def within(self, begin_s: float, length_s: float) -> "Samples":
         """Return the same with times from a begin on, for `length_s` at most. [s]."""

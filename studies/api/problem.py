@@ -39,7 +39,8 @@ class Problem:
 
     Attributes:
         fmu: The FMU's file.
-        outputs: Measured series by output, as {"values": series, "uncertainty": 0.5}. [per output]
+        outputs: Measured series by output, as {"values": series, "uncertainty": 0.5}; the uncertainty may be
+            a series, too. [per output]
         parameters: Lower and upper bound by parameter, as (0.5, 10.0). [per parameter]
         inputs: Recorded series by input, linear between samples unless `interpolation` says how. [per input]
         fixed: Values of other parameters, inputs and initial states. [FMU's units]
@@ -100,8 +101,13 @@ class Problem:
         for room, name, keys in tables:
             values, file = keys.pop("values", None), f"{folder_name(name)}.csv"
             if values is not None:
-                _write(folder / file, values.rename(name).rename_axis(_time_name(name, values)))
+                frame = values.rename(name).rename_axis(_time_name(name, values)).to_frame()
                 keys |= {"file": file, "column": not_a_formula(name)}
+                if isinstance(each := keys.get("uncertainty"), pd.Series):
+                    frame[own := f"uncertainty of {name}"] = each
+                    del keys["uncertainty"]
+                    keys["uncertainty_column"] = own
+                _write(folder / file, frame)
             entries[room].append({"name": name, "unit": units.get(name) or "1", **keys})
         first = next((one["values"] for one in self.outputs.values() if "values" in one), None)
         if first is None:
@@ -196,8 +202,8 @@ def _seconds(values: "pd.Series[float]") -> FloatArray:
     return np.asarray(values.index, dtype=np.float64)
 
 
-def _write(file: Path, values: "pd.Series[float]") -> None:
-    frame = values.to_frame().rename(columns=not_a_formula)
+def _write(file: Path, frame: pd.DataFrame) -> None:
+    frame = frame.rename(columns=not_a_formula)
     with whole_file(file) as stream:
         stream.write(frame.to_csv(date_format="%Y-%m-%dT%H:%M:%S%z").encode())
 

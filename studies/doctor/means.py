@@ -13,7 +13,6 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.measurement import Measurement
-from simulation.samples import Samples
 from simulation.trajectories import Trajectories
 from studies.doctor.finding import Finding, finding
 from studies.words.wording import quantity, square_of
@@ -132,7 +131,7 @@ def _with_means(
         if stamp is not None and k in lengths_s:
             first, last = STAMPS[stamp]
             interval = (first * length_s, last * length_s)
-        outputs[k] = replace(outputs[k], samples=Samples(samples.time[kept], samples.values[kept], interval))
+        outputs[k] = replace(outputs[k], samples=samples.taken(kept, interval))
     return replace(measurement, outputs=tuple(outputs))
 
 

@@ -216,7 +216,7 @@ def _output_mixups(measurement: Measurement) -> Iterator[tuple[str, list[int], M
     for a, i in enumerate(measured):
         if is_plain(outputs[i]) and not _is_temperature(outputs[i].unit):
             samples = outputs[i].samples
-            turned = Samples(samples.time, -samples.values)
+            turned = replace(samples, values=-samples.values)
             yield f"the sign of {outputs[i].name} changed", [a], with_samples({i: turned})
 
 

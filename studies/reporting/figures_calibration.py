@@ -171,7 +171,11 @@ def _residuals(case: Case, k: int, y: FloatArray) -> Panel:
         Series("zero", INK, y=[0.0], mark="rule", is_named=False),
         Series("residual", POLISHED, time, values, style={"strokeWidth": 1.3}, is_named=False),
     ]
-    if math.isfinite(uncertainty) and uncertainty > 0:
+    own = case.outputs[k].samples.deviations
+    if own is not None:
+        _, band = with_gaps(time_unit.of_seconds(case.outputs[k].samples.time), own)
+        series.insert(0, Series("uncertainty of each sample", TRAINING, time, low=-band, high=band))
+    elif math.isfinite(uncertainty) and uncertainty > 0:
         sensor = f"sensor ±{uncertainty:g} {unit}"
         series.insert(0, Series(sensor, TRAINING, low=[-uncertainty], high=[uncertainty], mark="rect"))
     scale = {"domain": [-reach, reach], "nice": False}

@@ -142,8 +142,9 @@ def _fit(case: "Case", found: Calibration) -> str:
         fit, unit = found.outputs[output.name], difference_unit(output.unit)
         part = f"{output.name} differs by {quantity(fit.rmse, unit)} (RMS)"
         if fit.uncertainty is not None and fit.share_within is not None:
-            sensor = f"±{fit.uncertainty:g} {unit}".strip()
-            part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
+            sensor = f"the sensor's ±{fit.uncertainty:g} {unit}".strip()
+            within = "the uncertainty of each sample" if fit.of_each_sample else sensor
+            part += f", {percent(fit.share_within)} of it within {within}"
         parts.append(part)
     n_left = len(case.measurement.measured) - len(parts)
     less = f"; the other {n_left} outputs by a smaller part of their range" if n_left else ""

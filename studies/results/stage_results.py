@@ -225,6 +225,7 @@ class Fit:
             unit]
         uncertainty: That of its sensor; None where it is not declared. [output's unit]
         share_within: Share of the samples that differ by no more; None likewise. [1]
+        of_each_sample: Whether each sample has an uncertainty of its own, which `share_within` is of.
         nrmse: rmse over the range of the measured values; None where they are all the same, or none. [1]
         cv_rmse: rmse over the size of their mean, as in the validation; None for temperatures, for means of
             zero and where nothing is measured. [1]
@@ -237,6 +238,7 @@ class Fit:
     rmse: Error
     uncertainty: float | None = None
     share_within: float | None = None
+    of_each_sample: bool = False
     nrmse: float | None = None
     cv_rmse: float | None = None
     largest_excess: float | None = None

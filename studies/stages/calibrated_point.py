@@ -141,7 +141,9 @@ def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
         whole = output_fit(case.measurement, k, output.unit, y)
         more = dict[str, Any](largest=_largest(case, k, difference))
         if np.isfinite(sensor):
-            more |= {"uncertainty": sensor, "share_within": float(np.mean(np.abs(difference) <= sensor))}
+            own = output.samples.deviations
+            share = float(np.mean(np.abs(difference) <= (sensor if own is None else own)))
+            more |= {"uncertainty": sensor, "share_within": share, "of_each_sample": own is not None}
         if output.limits is not None:
             excess = case.measurement.excess(y[None], k)[0]
             more["largest_excess"] = float(excess[np.argmax(np.abs(excess))])

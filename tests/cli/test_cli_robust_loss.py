@@ -1,4 +1,4 @@
-"""A case with a robust loss: what is printed is a mean loss, and outliers are counted."""
+"""A case with a robust loss, or with samples of uncertainties of their own: what is printed of it."""
 
 import re
 from pathlib import Path
@@ -44,3 +44,12 @@ def test_results_are_named_mean_losses_and_outliers_are_counted(project: Path, s
     assert "mean loss" in page
     assert not re.search(PLAIN, re.sub(r"<script.*?</script>", "", page, flags=re.S))
     assert "has the huber loss" in page
+
+
+def test_samples_of_uncertainties_of_their_own_are_named(project: Path, studies: Run) -> None:
+    sensor = "uncertainty = 0.05"
+    edit(add_case(project), (sensor, f"{sensor}\nuncertainty_share = 0.001"))
+    answer = studies(*WALL)
+    assert answer.code == 0, answer.err
+    assert "% of it within the uncertainty of each sample" in answer.out
+    assert studies("report", "wall").code == 0
