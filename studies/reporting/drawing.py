@@ -178,8 +178,10 @@ class Figure:
         """
         types = dict.fromkeys(("x_end", "low", "high", "share"), "number") | {"series": "string"}
         for axis in ("x", "y"):
-            if all(getattr(panel, axis).is_of_names for panel in self.panels):
-                types[axis] = "string"
+            of_names = {getattr(panel, axis).is_of_names for panel in self.panels}
+            # What is not parsed stays a text, and a gap would be drawn as 0.
+            if len(of_names) == 1:
+                types[axis] = "string" if of_names.pop() else "number"
         # Panels over the same quantity zoom together.
         groups: dict[str, list[str]] = {}
         for k, panel in enumerate(self.panels):

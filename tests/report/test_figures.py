@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from records_for_tests import (
 
 from simulation.case import Case
 from simulation.samples import Samples
-from studies.reporting.drawing import Figure, with_gaps, write_picture
+from studies.reporting.drawing import Axis, Figure, Panel, Series, with_gaps, write_picture
 from studies.reporting.figures_calibration import (
     band_figure,
     calibration_figure,
@@ -157,6 +158,16 @@ def test_no_line_spans_a_gap(tmp_path: Path) -> None:
     _, broken = with_gaps(np.array([0.0, 1.0, 2.0, 6.0, 7.0]), np.arange(5.0))
     assert np.isnan(broken).tolist() == [False, False, False, True, False, False]
     assert " % of the measured values lie between" in coverage_figure(uneven, y).caption
+
+
+def test_a_line_breaks_at_a_gap_and_is_not_drawn_to_zero(tmp_path: Path) -> None:
+    time, values = with_gaps(np.array([0.0, 1.0, 2.0, 6.0, 7.0]), np.array([3.0, 4.0, 3.0, 5.0, 4.0]))
+    line = Series("line", "#226699", time, values)
+    other = Series("points", "#000000", time, values, mark="point")
+    panels = [Panel(one.name, Axis("x"), Axis("y"), [one]) for one in (line, other)]
+    picture = write_picture(Figure("gap", tuple(panels)), tmp_path / "gap.svg").read_text(encoding="utf-8")
+    (path,) = re.findall(r'aria-roledescription="line mark" d="([^"]*)"', picture)
+    assert [part.count("L") for part in path.split("M")[1:]] == [2, 1]
 
 
 def with_gap(whole: Case) -> Case:
