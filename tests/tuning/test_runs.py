@@ -156,6 +156,7 @@ def test_the_views_of_an_experiment_show_what_its_studies_search(tuned: ProjectP
     )
     assert {"metrics.`test/mae`", "params.`beta`", "metrics.`gain`"} <= set(table["selectedColumns"])
     assert table["searchFilter"] == "tags.best = 'yes'"
+    assert (table["orderByKey"], table["orderByAsc"]) == ("metrics.`test/mae`", True)
     scatters = [one["xaxis"]["key"] for one in charts["compareRunCharts"] if one["type"] == "SCATTER"]
     assert scatters == ["n_train", "n_train", "n_latent", "n_hidden", "beta"]
 
