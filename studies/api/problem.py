@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -214,20 +215,24 @@ def _toml(document: Keys) -> str:
     for key, value in document.items():
         if isinstance(value, Mapping):
             tables += [
-                f"[{toml_text(key)}]",
-                *(f"{toml_text(k)} = {_value(v)}" for k, v in value.items()),
+                f"[{_key(key)}]",
+                *(f"{_key(k)} = {_value(v)}" for k, v in value.items()),
                 "",
             ]
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
             for entry in value:
                 tables += [
-                    f"[[{toml_text(key)}]]",
-                    *(f"{toml_text(k)} = {_value(v)}" for k, v in entry.items()),
+                    f"[[{_key(key)}]]",
+                    *(f"{_key(k)} = {_value(v)}" for k, v in entry.items()),
                     "",
                 ]
         elif not (isinstance(value, list) and not value):
-            lines.append(f"{toml_text(key)} = {_value(value)}")
+            lines.append(f"{_key(key)} = {_value(value)}")
     return "\n".join([*lines, "", *tables])
+
+
+def _key(text: str) -> str:
+    return text if re.fullmatch(r"[A-Za-z0-9_-]+", text) else toml_text(text)
 
 
 def _value(value: Any) -> str:
@@ -240,7 +245,7 @@ def _value(value: Any) -> str:
     if isinstance(value, float | np.floating):
         return repr(float(value)) if math.isfinite(value) else f"{float(value)}"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{toml_text(key)} = {_value(one)}" for key, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(key)} = {_value(one)}" for key, one in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_value, value)) + "]"
     raise InputError(f"a case file cannot hold {value!r}; give a text, a number, a list or a table")

@@ -26,6 +26,7 @@ WHY_NOT = {
     r"mlflow.example.com|wall --max-calls 30$|best wall$": "its page is run with a server",
     r"--write (fmu|onnx|csv) ": "the page of these lines is run as a whole",
     r" --experiment ": "tests/cli/test_cli_experiments.py types them for a case with experiments",
+    r"(?i)crauste|cells.yaml": "tests/cli/test_petab.py reads problems",
     r"--output TAir": "names variables of an FMU that is not there",
     r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
     r"^studies tune --profile my.toml$": "`--dry-run` reads the profile",

@@ -1,0 +1,35 @@
+model Crauste "T cells after an infection, Crauste et al. 2017, doi 10.1016/j.cels.2017.01.014"
+  parameter Real delta_EL(unit="1") = 0.5;
+  parameter Real delta_LM(unit="1") = 0.02;
+  parameter Real delta_NE(unit="1") = 0.01;
+  parameter Real mu_EE(unit="1") = 4e-5;
+  parameter Real mu_LE(unit="1") = 1e-10;
+  parameter Real mu_LL(unit="1") = 8e-6;
+  parameter Real mu_N(unit="1") = 0.7;
+  parameter Real mu_P(unit="1") = 1e-5;
+  parameter Real mu_PE(unit="1") = 1e-10;
+  parameter Real mu_PL(unit="1") = 4e-5;
+  parameter Real rho_E(unit="1") = 0.5;
+  parameter Real rho_P(unit="1") = 0.1;
+  Real n(unit="1", start=8090, fixed=true);
+  Real e(unit="1", start=0, fixed=true);
+  Real l(unit="1", start=0, fixed=true);
+  Real m(unit="1", start=0, fixed=true);
+  Real p(unit="1", start=1, fixed=true);
+  output Real Naive(unit="1");
+  output Real EarlyEffector(unit="1");
+  output Real LateEffector(unit="1");
+  output Real Memory(unit="1");
+  output Real Pathogen(unit="1");
+equation
+  der(n) = -mu_N * n - delta_NE * n * p;
+  der(e) = delta_NE * n * p + rho_E * e * p - mu_EE * e^2 - delta_EL * e;
+  der(l) = delta_EL * e - mu_LL * l^2 - mu_LE * e * l - delta_LM * l;
+  der(m) = delta_LM * l;
+  der(p) = rho_P * p^2 - mu_PE * e * p - mu_PL * l * p - mu_P * p;
+  Naive = n;
+  EarlyEffector = e;
+  LateEffector = l;
+  Memory = m;
+  Pathogen = p;
+end Crauste;

@@ -1,0 +1,32 @@
+model Rahman "HIV in South Africa with treatment, Rahman et al. 2016, doi 10.1016/j.mbs.2016.07.009"
+  parameter Real infected_normal_transmission_rate_relative(unit="1") = 12.57;
+  parameter Real infected_moderate_transmission_rate(unit="1") = 0.082;
+  parameter Real infected_weak_transmission_rate_relative(unit="1") = 4.54;
+  parameter Real infected_weak_treatment_rate(unit="1") = 0.11;
+  parameter Real infected_normal_worsen_rate(unit="1") = 0.33;
+  parameter Real infected_moderate_worsen_rate(unit="1") = 0.34;
+  parameter Real treated_moderate_improve_rate(unit="1") = 0.57;
+  parameter Real treated_weak_improve_rate(unit="1") = 0.82;
+  parameter Real behavioural_change_rate(unit="1") = 2.4744e-7;
+  Real s(unit="1", start=17940000, fixed=true);
+  Real i1(unit="1", start=16300, fixed=true);
+  Real i2(unit="1", start=9000, fixed=true);
+  Real i3(unit="1", start=11000, fixed=true);
+  Real t1(unit="1", start=0, fixed=true);
+  Real t2(unit="1", start=0, fixed=true);
+  Real t3(unit="1", start=0, fixed=true);
+  Real infected(unit="1");
+  Real force(unit="1");
+  output Real prevalence(unit="1");
+equation
+  infected = i1 + i2 + i3 + t1 + t2 + t3;
+  force = infected_moderate_transmission_rate * (infected_normal_transmission_rate_relative * i1 + i2 + infected_weak_transmission_rate_relative * i3 + 0.04 * (t1 + t2 + t3)) / (s + infected) * exp(-behavioural_change_rate * infected);
+  der(s) = 1032672 - force * s - 0.0288 * s;
+  der(i1) = force * s - infected_normal_worsen_rate * i1 - 0.0888 * i1;
+  der(i2) = infected_normal_worsen_rate * i1 - infected_moderate_worsen_rate * i2 - 0.1368 * i2;
+  der(i3) = infected_moderate_worsen_rate * i2 - infected_weak_treatment_rate * i3 - 0.3108 * i3;
+  der(t1) = treated_moderate_improve_rate * t2 - 0.0408 * t1;
+  der(t2) = treated_weak_improve_rate * t3 - treated_moderate_improve_rate * t2 - 0.0528 * t2;
+  der(t3) = infected_weak_treatment_rate * i3 - treated_weak_improve_rate * t3 - 0.1752 * t3;
+  prevalence = 100 * (1 - s / (s + infected));
+end Rahman;
