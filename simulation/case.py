@@ -30,6 +30,7 @@ from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.fmi.own_time import own_unit_s
 from simulation.fmi.variable import Value
+from simulation.foreign_text import shortened
 from simulation.layout import MARK, Experiment, Layout, joined_measurement
 from simulation.measurement import MeasuredOutput, Measurement
 from simulation.named_files import NamedFiles, named_files
@@ -325,23 +326,30 @@ def _single(
 def _of_experiments(cases: Mapping[str, Case], read: Sequence[ReadExperiment]) -> Case:
     """Join the cases of experiments; those that are held out validate the others."""
     calibrated = [one for one in read if not one.is_held_out]
-    parameters, columns = list[Parameter](), dict[tuple[str, str], int]()
+    parameters, columns, places = list[Parameter](), dict[tuple[str, str], int](), dict[str, int]()
+    shared = {name for one in calibrated for name in one.shared.values()}
+    for one in read:
+        variables = read_description(cases[one.name].fmu.path).variables
+        for name in one.shared.values():
+            if name in variables:
+                raise InputError(
+                    f"experiments[{one.name}].shared: {shortened(name)} is a variable of the FMU; give what "
+                    "is shared a name that it does not have"
+                )
     for table in dict.fromkeys(name for one in read for name in cases[one.name].parameter_space.names):
         having = [one for one in read if table in cases[one.name].parameter_space.names]
-        own = next(t for t in having[0].file.parameters if t.name == table).per_experiment
-        if not own:
-            parameters.append(_parameter(cases[having[0].name], table))
-            columns |= {(one.name, table): len(parameters) - 1 for one in having}
-            continue
         for one in having:
-            if one.is_held_out:
+            name, own = one.shared.get(table), one.file.is_per_experiment(table)
+            if one.is_held_out and (own if name is None else name not in shared):
                 raise InputError(
-                    f"parameters[{table}] has a value of its own in each experiment, and {one.name} is held "
-                    f"out; give it one there: fixed = {{ {table} = ... }}"
+                    f"parameters[{name or table}] has a value of its own in each experiment, and {one.name} "
+                    f"is held out; give it one there: fixed = {{ {table} = ... }}"
                 )
-            parameter = _parameter(cases[one.name], table)
-            parameters.append(replace(parameter, name=f"{table}{MARK}{one.name}"))
-            columns[one.name, table] = len(parameters) - 1
+            name = name or (f"{table}{MARK}{one.name}" if own else table)
+            if name not in places:
+                places[name] = len(parameters)
+                parameters.append(replace(_parameter(cases[one.name], table), name=name))
+            columns[one.name, table] = places[name]
     pairs = dict.fromkeys(
         (parameters[columns[one.name, small]].name, parameters[columns[one.name, large]].name)
         for one in read

@@ -466,6 +466,8 @@ class ExperimentTable(Table):
         inputs: keys of [[inputs]] that differ, by `name`.
         outputs: the outputs of this experiment, and what differs of their keys; without it, all.
         fixed: values of [fixed] that differ.
+        shared: parameters of the FMU that have the value of one of [[parameters]] here, by the name of the
+            latter, as `U = "U_site_A"`: experiments that name it share it. The FMU need not know that name.
     """
 
     name: Label
@@ -478,6 +480,7 @@ class ExperimentTable(Table):
     inputs: list[NamedTable] = []
     outputs: list[NamedTable] = []
     fixed: dict[str, FixedValue] = {}
+    shared: dict[str, Name] = {}
 
 
 class CaseFile(Table):
@@ -560,6 +563,10 @@ class CaseFile(Table):
                 also = "[fixed]" if name in self.fixed else "[[parameters]]"
                 raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
         return self
+
+    def is_per_experiment(self, name: str) -> bool:
+        """Say whether a parameter has a value of its own in each experiment."""
+        return next(one for one in self.parameters if one.name == name).per_experiment
 
     @property
     def stamps(self) -> StampForm | None:

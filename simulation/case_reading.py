@@ -1,7 +1,8 @@
 """Reading a case file, and what to say of one that is wrong: one line with key, value and remedy."""
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,12 +23,15 @@ class ReadExperiment:
         file: The case file as if it were of this experiment alone.
         is_held_out: Whether it is not calibrated.
         weight: Share of its outputs' error relative to the other experiments'. [1]
+        shared: What parameters of the FMU are called among those of all experiments, where that is not their
+            own name.
     """
 
     name: str
     file: CaseFile
     is_held_out: bool = False
     weight: float = 1.0
+    shared: Mapping[str, str] = field(default_factory=dict)
 
 
 M = TypeVar("M", bound=BaseModel)
@@ -69,12 +73,24 @@ def read_experiments(path: Path) -> tuple[ReadExperiment, ...]:
             raise InputError(f"{path}: experiments[{name}] is declared {n} times; keep one")
     if all(table.held_out for table in tables):
         raise InputError(f"{path}: no experiment is left to calibrate; drop held_out from one, or add one")
+    names = {name for table in tables for name in table.shared.values()}
+    declared = {one.get("name") for one in content.get("parameters", []) if isinstance(one, dict)}
+    for table in tables:
+        for target, name in table.shared.items():
+            if name not in declared:
+                raise InputError(
+                    f"{path}: experiments[{table.name}].shared.{target} = {quoted(name)} is none of "
+                    "[[parameters]]; declare it there"
+                )
     read = tuple(
         ReadExperiment(
             table.name,
-            _validated(CaseFile, _with_experiment(content, table), f"{path}: experiments[{table.name}]"),
+            _validated(
+                CaseFile, _with_experiment(content, table, names), f"{path}: experiments[{table.name}]"
+            ),
             table.held_out,
             table.weight,
+            table.shared,
         )
         for table in tables
     )
@@ -99,10 +115,16 @@ def _without_rivals(usual: dict[str, Any], own: dict[str, Any]) -> dict[str, Any
     return {key: value for key, value in usual.items() if key not in gone}
 
 
-def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[str, Any]:
-    """Return the content of a case file as if it were of one experiment alone."""
+def _with_experiment(content: dict[str, Any], table: ExperimentTable, shared: set[str]) -> dict[str, Any]:
+    """Return the content of a case file as if it were of one experiment alone.
+
+    Args:
+        content: The file's.
+        table: The experiment.
+        shared: Parameters that experiments share under names that the FMU need not know.
+    """
     whole = {key: value for key, value in content.items() if key != "experiments"}
-    said = table.model_dump(exclude_unset=True, exclude={"name", "held_out", "weight"})
+    said = table.model_dump(exclude_unset=True, exclude={"name", "held_out", "weight", "shared"})
     for key in ("inputs", "outputs"):
         usual = {one["name"]: one for one in whole.get(key, [])}
         own = [{**_without_rivals(usual.get(one["name"], {}), one), **one} for one in said.pop(key, [])]
@@ -116,7 +138,10 @@ def _with_experiment(content: dict[str, Any], table: ExperimentTable) -> dict[st
     whole["time"] = time | said.pop("time", {})
     whole["fixed"] = whole.get("fixed", {}) | said.pop("fixed", {})
     # What an experiment knows is no parameter of it.
-    whole["parameters"] = [one for one in whole.get("parameters", []) if one["name"] not in table.fixed]
+    tables = whole.get("parameters", [])
+    by_name = {one["name"]: one for one in tables}
+    whole["parameters"] = [one for one in tables if one["name"] not in {*table.fixed, *table.shared, *shared}]
+    whole["parameters"] += [{**by_name[name], "name": target} for target, name in table.shared.items()]
     return whole | said
 
 

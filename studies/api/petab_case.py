@@ -54,7 +54,13 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
         )
     unit_s = own_unit_s(fmu.variables, fmu.units, None, fmu.path.name)
     names = _outputs(petab, fmu, problem_file)
-    parameters = {name: _table(petab, name, fmu, problem_file) for name in petab.estimated}
+    # The variable that an estimated parameter is given to, where conditions do that.
+    shared = {
+        name: to for held in petab.conditions.values() for to, name in _held(held).get("shared", {}).items()
+    }
+    parameters = {
+        name: _table(petab, name, fmu, problem_file, shared.get(name, name)) for name in petab.estimated
+    }
     samples = petab.samples.assign(time=petab.samples["time"] * unit_s)
     step_s = _step(samples["time"].to_numpy(), unit_s)
     known = {name: value for name, value in petab.known.items() if name in fmu.variables}
@@ -62,18 +68,18 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
     first = next(iter(groups))
     keys: dict[str, Any] = {"note": (note := _note(petab, problem_file.stem))}
     folder.mkdir(parents=True, exist_ok=True)
-    if len(groups) > 1:
+    if len(groups) > 1 or shared:
         keys["experiments"] = [
             {
                 "name": _experiment(name),
                 "time": {"window_s": [0.0, _end(part, step_s)]},
                 "outputs": _write(folder, name, part, names, fmu),
-                **({"fixed": dict(petab.conditions[name])} if petab.conditions[name] else {}),
+                **_held(petab.conditions[name]),
             }
             for name, part in groups.items()
         ]
     else:
-        known |= petab.conditions[first]
+        known |= _held(petab.conditions[first]).get("fixed", {})
     copied = folder / fmu_file.name
     if copied.resolve() != fmu_file.resolve():
         shutil.copyfile(fmu_file, copied)
@@ -99,6 +105,15 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
     return problem.save(folder), note
 
 
+def _held(condition: Mapping[str, float | str]) -> dict[str, dict[str, Any]]:
+    """Return what holds in a condition as the keys `fixed` and `shared` of an experiment."""
+    parts = {
+        "fixed": {name: value for name, value in condition.items() if not isinstance(value, str)},
+        "shared": {name: value for name, value in condition.items() if isinstance(value, str)},
+    }
+    return {key: values for key, values in parts.items() if values}
+
+
 def _interface(fmu: FmuDescription) -> str:
     return "co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange"
 
@@ -118,15 +133,16 @@ def _outputs(petab: Petab, fmu: FmuDescription, file: Path) -> dict[str, str]:
     return found
 
 
-def _table(petab: Petab, name: str, fmu: FmuDescription, file: Path) -> dict[str, Any]:
-    """Return the keys of [[parameters]] of an estimated parameter."""
+def _table(petab: Petab, name: str, fmu: FmuDescription, file: Path, variable: str) -> dict[str, Any]:
+    """Return the keys of [[parameters]] of an estimated parameter, given to a variable of the FMU."""
     one = petab.estimated[name]
-    if name not in fmu.variables:
+    if variable not in fmu.variables:
         raise InputError(
-            f"{file}: {name} is estimated, and {fmu.path.name} has no variable of this name; noise, scales "
+            f"{file}: {name} is estimated, and {fmu.path.name} has no variable {variable}; noise, scales "
             "and offsets of observables cannot be estimated: set estimate to 0, or make it one of the FMU's"
         )
-    keys: dict[str, Any] = {"lower": one.lower, "upper": one.upper, "scale": one.scale}
+    unit = fmu.variables[variable].unit or "1"
+    keys: dict[str, Any] = {"unit": unit, "lower": one.lower, "upper": one.upper, "scale": one.scale}
     keys |= {} if one.nominal is None else {"estimate": one.nominal}
     return keys | ({} if one.prior is None else {"prior": dict(one.prior)})
 

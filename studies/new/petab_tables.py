@@ -25,6 +25,8 @@ _COLUMNS = {
     "observable": ("observableFormula", "noiseFormula"),
     "parameter": ("lowerBound", "upperBound", "nominalValue", "estimate"),
 }
+Condition = dict[str, float | str]
+"""What holds in a condition, by what is set: a number, or the name of an estimated parameter."""
 _SCALES = {"log10": 10.0, "log": math.e}
 
 
@@ -57,7 +59,7 @@ class Petab:
         formulas: What is observed, by observable.
         estimated: The estimated parameters by name.
         known: Values of the others.
-        conditions: Values that hold in each condition, by name.
+        conditions: What holds in each condition, by name: a number, or the name of an estimated parameter.
         chi2_of_replicates: What joining replicates took from the sum of squares.
     """
 
@@ -65,7 +67,7 @@ class Petab:
     formulas: Mapping[str, str]
     estimated: Mapping[str, Estimated]
     known: Mapping[str, float]
-    conditions: Mapping[str, Mapping[str, float]]
+    conditions: Mapping[str, Mapping[str, float | str]]
     chi2_of_replicates: float
 
 
@@ -174,9 +176,18 @@ class _Tables:
         """Return the names in a noise formula that numbers of measurements stand for."""
         raise NotImplementedError
 
-    def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, dict[str, float]], list[str]]:
-        """Return the values of each condition, and the condition of each measurement."""
+    def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, Condition], list[str]]:
+        """Return what holds in each condition, and the condition of each measurement."""
         raise NotImplementedError
+
+    def held(self, condition: str, target: str, cell: Any, known: Mapping[str, float]) -> float | str:
+        """Return what a condition sets a variable to: a number, or the name of an estimated parameter."""
+        (value,) = self.numbers(cell, known)
+        if value is not None:
+            return value
+        if str(cell).strip() not in self.parameters.index:
+            raise self.refuse(f"condition {condition} sets {target} to {shortened(str(cell))}; give a number")
+        return str(cell).strip()
 
     def estimated(self) -> Iterator[tuple[str, Estimated]]:
         """Yield the estimated parameters."""
@@ -251,19 +262,17 @@ class _FirstVersion(_Tables):
         if row.get("noiseDistribution", "normal") not in ("normal", "", None):
             raise self.refuse(f"the noise of {name} is {row['noiseDistribution']}; a case has normal noise")
 
-    def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, dict[str, float]], list[str]]:
+    def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, Condition], list[str]]:
         if self.measurements.get("preequilibrationConditionId", pd.Series(dtype=object)).notna().any():
             raise self.refuse(
                 "preequilibration: a case begins at its start values; give these in a condition"
             )
-        table, found = self.table("condition"), dict[str, dict[str, float]]()
+        table, found = self.table("condition"), dict[str, Condition]()
         for name, row in table.drop(columns="conditionName", errors="ignore").iterrows():
-            found[str(name)] = {}
-            for target, cell in row.dropna().items():
-                (value,) = self.numbers(cell, known)
-                if value is None:
-                    raise self.refuse(f"condition {name} sets {target} to {cell}, which is estimated")
-                found[str(name)][str(target)] = value
+            cells = row.dropna().items()
+            found[str(name)] = {
+                str(target): self.held(str(name), str(target), cell, known) for target, cell in cells
+            }
         return found, [str(one) for one in self.measurements["simulationConditionId"]]
 
     def estimated(self) -> Iterator[tuple[str, Estimated]]:
@@ -307,12 +316,8 @@ class _SecondVersion(_Tables):
         ):
             raise self.refuse(f"the noise of {name} is {row['noiseDistribution']}; a case has normal noise")
 
-    def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, dict[str, float]], list[str]]:
-        table, periods, found = (
-            self.table("condition"),
-            self.table("experiment"),
-            dict[str, dict[str, float]](),
-        )
+    def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, Condition], list[str]]:
+        table, periods, found = self.table("condition"), self.table("experiment"), dict[str, Condition]()
         rows = periods.to_dict("records")
         for name, n in pd.Series([one["experimentId"] for one in rows], dtype=object).value_counts().items():
             if n > 1:
@@ -325,13 +330,8 @@ class _SecondVersion(_Tables):
             values = found.setdefault(str(one["experimentId"]), {})
             if isinstance(one.get("conditionId"), str):
                 for change in table[table["conditionId"] == one["conditionId"]].to_dict("records"):
-                    (value,) = self.numbers(change["targetValue"], known)
-                    if value is None:
-                        raise self.refuse(
-                            f"condition {one['conditionId']} sets {change['targetId']} to "
-                            f"{change['targetValue']}, which is no number"
-                        )
-                    values[str(change["targetId"])] = value
+                    target = str(change["targetId"])
+                    values[target] = self.held(one["conditionId"], target, change["targetValue"], known)
         named = self.measurements.get("experimentId", pd.Series("", self.measurements.index))
         of_each = [str(one) if isinstance(one, str) else "" for one in named]
         for name in of_each:

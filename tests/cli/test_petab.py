@@ -21,6 +21,9 @@ pytest.importorskip("petab")
 HERE = Path(__file__).parent
 PUBLISHED = HERE.parents[2] / "shared" / "data" / "petab"
 K, U = 1.4e-4, 0.02
+OBSERVABLES = "observableId\tobservableFormula\tnoiseFormula"
+PARAMETERS = "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate"
+MEASURED = "observableId\tsimulationConditionId\tmeasurement\ttime\tnoiseParameters"
 
 
 def published(name: str) -> Path:
@@ -145,6 +148,29 @@ def test_conditions_are_experiments_and_replicates_one_sample(
     assert "is never overwritten" in again.err
 
 
+def test_conditions_give_variables_estimated_parameters(
+    new_project: Path, tmp_path: Path, fmu: Path, studies: Run
+) -> None:
+    at, starts = np.array([600.0, 1800.0, 3600.0, 9000.0]), {"cold": 290.0, "warm": 330.0}
+    rows = [
+        f"obs\t{name}\t{float(y)!r}\t{t:g}\t0.05"
+        for name, start in starts.items()
+        for t, y in zip(at, decay(at, U, start), strict=True)
+    ]
+    file = first_version(
+        tmp_path,
+        measurements="\n".join([MEASURED, *rows]),
+        conditions=f"conditionId\tu\tx0\ncold\t{U}\tstart_cold\nwarm\t{U}\tstart_warm",
+        parameters=f"{PARAMETERS}\nk\tlog10\t2e-5\t5e-4\t1e-4\t1\nstart_cold\tlin\t280\t340\t300\t1\n"
+        "start_warm\tlin\t280\t340\t300\t1",
+    )
+    answer = studies("new", str(file), "--fmu", str(fmu))
+    assert answer.code == 0, answer.err
+    (found,) = studies("calibrate", "decay", "--max-calls", "40", "--jobs", "1", "--json").document["stages"]
+    expected = {"k": K, "start_cold": 290.0, "start_warm": 330.0}
+    assert {name: pytest.approx(value, rel=0.01) for name, value in expected.items()} == found["theta"]
+
+
 def test_the_second_version(new_project: Path, tmp_path: Path, fmu: Path, studies: Run) -> None:
     at = np.array([600.0, 1800.0, 3600.0])
     rows = [f"obs\te1\t{float(y)!r}\t{t:g}\t0.5" for t, y in zip(at, decay(at, U, 300.0) + 1.0, strict=True)]
@@ -170,11 +196,6 @@ def test_the_second_version(new_project: Path, tmp_path: Path, fmu: Path, studie
     assert k.scale == "log"
     assert k.prior is not None
     assert (k.prior.centre, k.prior.deviation) == pytest.approx((np.exp(-9.0), np.exp(0.7)))
-
-
-OBSERVABLES = "observableId\tobservableFormula\tnoiseFormula"
-PARAMETERS = "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate"
-MEASURED = "observableId\tsimulationConditionId\tmeasurement\ttime\tnoiseParameters"
 
 
 @pytest.mark.parametrize(
