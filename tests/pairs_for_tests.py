@@ -48,6 +48,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "simulate": ("simulate", *TASK),
 }
 """In a project with a calibration each of them has something to do."""
+SIMULATING = {"run", "tune", "calibrate", "simulate"}
+"""An uncertainty begins with what these have stored at that moment, which is noted and not chosen anew."""
 
 
 def make_base(root: Path) -> None:
@@ -121,6 +123,7 @@ def wrong_of_pair(base: Path, pair: tuple[str, str], alone: dict[str, Alone], fo
             wrong.append(f"{name}: exit code {process.returncode}: {said[-500:]}")
         if process.returncode == 2 and len(lines) != 1:
             wrong.append(f"{name}: refuses in {len(lines)} lines: {said[-500:]}")
+    between = held(project)
     for name in pair:
         again = tuple(word for word in COMMANDS[name] if word != "--again")
         process = begun(project, again)
@@ -131,9 +134,30 @@ def wrong_of_pair(base: Path, pair: tuple[str, str], alone: dict[str, Alone], fo
     for name in pair:
         changed = {k: v for k, v in alone[name].after.items() if v != alone[name].before.get(k)}
         expected = alone[name].before | expected | changed
-    expected["rows"] = set.union(*(alone[name].after["rows"] for name in pair))
+    others = [name for name in pair if name != "uncertainty"]
+    if "uncertainty" in pair and SIMULATING & {*others}:
+        expected |= {name: one for name, one in between.items() if _is_of("uncertainty", name)}
+        expected["rows"] = between["rows"].union(*(alone[name].after["rows"] for name in others))
+    else:
+        expected["rows"] = set.union(*(alone[name].after["rows"] for name in pair))
+    if {*pair} == {"uncertainty", "predict"}:
+        # A prediction has bands once there is an uncertainty.
+        expected |= {name: one for name, one in _banded(base, folder).items() if _is_of("predict", name)}
     now = held(project)
     return [*wrong, *wrong_of(expected, now)[:10], *_left(project, folder)]
+
+
+def _is_of(command: str, name: str) -> bool:
+    """Say whether a result is of a command."""
+    return name.startswith("mlruns/results/") and Path(name).name.startswith(f"{command}-")
+
+
+def _banded(base: Path, folder: Path) -> dict[str, Any]:
+    """Return what a project holds after an uncertainty and then a prediction."""
+    project = shutil.copytree(base, folder / "one-by-one" / "project")
+    for name in ("uncertainty", "predict"):
+        answered(begun(project, COMMANDS[name]))
+    return held(project)
 
 
 def _left(project: Path, folder: Path) -> list[str]:
