@@ -13,6 +13,7 @@ from studies.stages.adaptive_stage import MAX_CALLS
 from studies.stages.learn import require_tuning
 from studies.stages.simulate_stage import missing_rows
 from studies.stages.tuned_trials import tuned_by_size
+from studies.stages.uncertainty_stage import usual_calls
 from studies.task import Task
 from studies.tuning.confirmations import to_confirm
 from studies.words.console import Column, format_seconds
@@ -36,24 +37,24 @@ def foretell(task: Task, command: str, given: Mapping[str, Any]) -> None:
 
     Args:
         task: the task.
-        command: "run", "tune" or "calibrate".
+        command: "run", "simulate", "sensitivity", "tune", "calibrate" or "uncertainty".
         given: its options.
 
     Raises:
         InputError: a sampler, a pruner or a device does not exist, or a simulation fails.
     """
-    if command != "calibrate":
+    if command in ("run", "tune"):
         require_tuning(task)
     timed = time_simulations(task)
     # A search asks one after the other, each in a process of its own; sets share processes.
-    is_search = command == "calibrate"
+    is_search = command in ("calibrate", "uncertainty")
     n_workers = min(given.get("parallel") or 1, task.n_jobs) if is_search else task.n_jobs
     each_s = timed.simulation_s + timed.opening_s * is_search
     plan = [
         {"stage": stage, "n_simulations": n, "simulations_s": n * each_s / n_workers}
         for stage, n in _simulations(task, command, given)
     ]
-    trials = [] if is_search else list(_trials(task))
+    trials = list(_trials(task)) if command in ("run", "tune") else []
     rows: list[list[object]] = [
         [WORDS[one["stage"]], one["n_simulations"], shown_time(one["simulations_s"])] for one in plan
     ]
@@ -71,7 +72,7 @@ def foretell(task: Task, command: str, given: Mapping[str, Any]) -> None:
             "command": command,
             "label": task.label,
             "dry_run": True,
-            "n_simulations": 0 if is_search else plan[0]["n_simulations"],
+            "n_simulations": 0 if is_search or not plan else plan[0]["n_simulations"],
             "simulation_s": timed.simulation_s,
             "plan": plan,
             "sizes": trials,
@@ -130,12 +131,17 @@ def _simulations(task: Task, command: str, given: Mapping[str, Any]) -> Iterator
     budget = task.profile.budget.simulations
     if command == "run" and budget is not None:
         yield "budget", budget
-    elif command != "calibrate":
+        return
+    if command in ("run", "tune", "simulate"):
         yield "simulate", missing_rows(task)[0]
-        if command == "run":
-            if task.profile.sensitivity.model == "fmu":
-                yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)
-            yield "polish", n_polish * len(task.profile.data.n_train)
+    if command in ("run", "sensitivity") and task.profile.sensitivity.model == "fmu":
+        yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)
+    if command == "run":
+        yield "polish", n_polish * len(task.profile.data.n_train)
+    elif command == "uncertainty":
+        yield "search", given.get("max_calls") or usual_calls(n_parameters)
+    elif command != "calibrate":
+        return
     elif given.get("method") == "paper" or given.get("n_train"):
         yield "polish", n_polish * (len(sizes(given.get("n_train"))) or len(tuned_by_size(task)))
     else:

@@ -14,14 +14,16 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.hand_over import document, keywords_of
+from studies.commands.hand_over import document, foretold, keywords_of
 from studies.words.console import Console
 
-OPTIONS = (*options.SIMULATED, options.FMU)
+OPTIONS = (*options.SIMULATED, options.FMU, options.DRY_RUN)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    if chosen.dry_run:
+        return foretold(chosen, console)
     from studies.api.chain import sensitivity
     from studies.reporting.tables import sensitivity_table
 

@@ -21,14 +21,16 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.hand_over import document, keywords_of
+from studies.commands.hand_over import document, foretold, keywords_of
 from studies.words.console import Console
 
-OPTIONS = options.SIMULATED
+OPTIONS = (*options.SIMULATED, options.DRY_RUN)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    if chosen.dry_run:
+        return foretold(chosen, console)
     from studies.api.chain import simulate
     from studies.stages.simulate_stage import show_sets
 

@@ -24,7 +24,7 @@ Examples:
 import argparse
 
 from studies.commands import options
-from studies.commands.hand_over import document, keywords_of
+from studies.commands.hand_over import document, foretold, keywords_of
 from studies.words.console import Console
 
 OPTIONS = (
@@ -37,11 +37,14 @@ OPTIONS = (
     ),
     *options.calls("most FMU calls; default: 20 per parameter, at least 100"),
     options.MAX_HOURS,
+    options.DRY_RUN,
 )
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    if chosen.dry_run:
+        return foretold(chosen, console)
     from studies.api.judgements import uncertainty
     from studies.stages.shown import show_uncertainty
 

@@ -156,6 +156,14 @@ def test_a_plan_says_what_is_to_do_and_writes_nothing(new_project: Path, studies
     assert "unknown before the first trial" in shown
     (search,) = studies("calibrate", "--max-calls", "7", "--dry-run", "--json").document["plan"]
     assert (search["stage"], search["n_simulations"]) == ("search", 7)
+    for words, stage, n in (
+        (("simulate", "--profile", "smoke"), "simulate", 96),
+        (("sensitivity", "--profile", "smoke", "--fmu"), "sensitivity", 8 * 16),
+        (("uncertainty",), "search", 280),
+    ):
+        (one,) = studies(*words, "--dry-run", "--json").document["plan"]
+        assert (one["stage"], one["n_simulations"]) == (stage, n)
+    assert studies("sensitivity", "--dry-run", "--json").document["plan"] == []
     # One after the other, each in a process of its own.
     assert search["simulations_s"] > 7 * document["simulation_s"]
     assert sorted(new_project.rglob("*")) == before
