@@ -225,7 +225,6 @@ class Fit:
             unit]
         uncertainty: That of its sensor; None where it is not declared. [output's unit]
         share_within: Share of the samples that differ by no more; None likewise. [1]
-        of_each_sample: Whether each sample has an uncertainty of its own, which `share_within` is of.
         nrmse: rmse over the range of the measured values; None where they are all the same, or none. [1]
         cv_rmse: rmse over the size of their mean, as in the validation; None for temperatures, for means of
             zero and where nothing is measured. [1]
@@ -233,17 +232,18 @@ class Fit:
             limits. [output's unit]
         share_beyond: Share of the output times at which it does; None likewise. [1]
         largest: The sample that differs most, where it stands alone; None where none does.
+        of_each_sample: Whether each sample has an uncertainty of its own, which `share_within` is of.
     """
 
     rmse: Error
     uncertainty: float | None = None
     share_within: float | None = None
-    of_each_sample: bool = False
     nrmse: float | None = None
     cv_rmse: float | None = None
     largest_excess: float | None = None
     share_beyond: float | None = None
     largest: LargestSample | None = None
+    of_each_sample: bool = False
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ def test_a_finished_stage_is_not_done_again(task: Task, capsys: pytest.CaptureFi
         == plain(second.result)
         == {
             "n": 7,
-            "fit": dict.fromkeys(Fit.__dataclass_fields__) | {"rmse": 0.5, "share_within": 0.1 + 0.2},
+            "fit": dict.fromkeys(Fit.__dataclass_fields__)
+            | {"rmse": 0.5, "share_within": 0.1 + 0.2, "of_each_sample": False},
             "error": None,
             "has_failures": False,
         }
