@@ -329,9 +329,8 @@ def _of_experiments(cases: Mapping[str, Case], read: Sequence[ReadExperiment]) -
     parameters, columns, places = list[Parameter](), dict[tuple[str, str], int](), dict[str, int]()
     shared = {name for one in calibrated for name in one.shared.values()}
     for one in read:
-        variables = read_description(cases[one.name].fmu.path).variables
         for name in one.shared.values():
-            if name in variables:
+            if name in cases[one.name].fmu.variables:
                 raise InputError(
                     f"experiments[{one.name}].shared: {shortened(name)} is a variable of the FMU; give what "
                     "is shared a name that it does not have"

@@ -129,23 +129,21 @@ def _simulations(task: Task, command: str, given: Mapping[str, Any]) -> Iterator
     """Give how many simulations are left, or may be asked at most, by stage."""
     n_polish, n_parameters = task.profile.polish.max_calls, task.case.parameter_space.n_parameters
     budget = task.profile.budget.simulations
-    if command == "run" and budget is not None:
-        yield "budget", budget
-        return
-    if command in ("run", "tune", "simulate"):
-        yield "simulate", missing_rows(task)[0]
-    if command in ("run", "sensitivity") and task.profile.sensitivity.model == "fmu":
-        yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)
-    if command == "run":
-        yield "polish", n_polish * len(task.profile.data.n_train)
-    elif command == "uncertainty":
+    if command == "uncertainty":
         yield "search", given.get("max_calls") or usual_calls(n_parameters)
-    elif command != "calibrate":
-        return
-    elif given.get("method") == "paper" or given.get("n_train"):
+    elif command == "calibrate" and (given.get("method") == "paper" or given.get("n_train")):
         yield "polish", n_polish * (len(sizes(given.get("n_train"))) or len(tuned_by_size(task)))
-    else:
+    elif command == "calibrate":
         yield "search", given.get("max_calls") or MAX_CALLS
+    elif command == "run" and budget is not None:
+        yield "budget", budget
+    else:
+        if command != "sensitivity":
+            yield "simulate", missing_rows(task)[0]
+        if command in ("run", "sensitivity") and task.profile.sensitivity.model == "fmu":
+            yield "sensitivity", task.profile.sensitivity.n_base * (n_parameters + 2)
+        if command == "run":
+            yield "polish", n_polish * len(task.profile.data.n_train)
 
 
 def _trials(task: Task) -> Iterator[dict[str, Any]]:

@@ -19,6 +19,7 @@ from simulation.fmi.variable import (
     FmiVersion,
     FmuInterface,
     FmuVariable,
+    Interface,
 )
 from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, identity, read_limited
 from simulation.foreign_text import shortened
@@ -71,6 +72,11 @@ class FmuDescription:
             Their names.
         """
         return tuple(one.name for one in self.variables.values() if one.causality == causality)
+
+    @property
+    def usual_interface(self) -> Interface:
+        """How it is run where nobody says it: by its own solver, where it has one."""
+        return "co-simulation" if "co-simulation" in self.interfaces else "model-exchange"
 
     def interface(self, name: str, where: str) -> FmuInterface:
         """Find an interface.

@@ -2,7 +2,7 @@
 
 import math
 import re
-import shutil
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from simulation.foreign_text import shortened
 from simulation.whole_file import whole_file
 from simulation.write_gate import check_written
 from studies.api.problem import Problem
-from studies.new.case_folder import case_name, describe
-from studies.new.petab_tables import Petab, read_petab
+from studies.new.case_folder import case_name, describe, write_case
+from studies.new.petab_tables import Condition, Petab, read_petab
 from studies.paths import ProjectPaths
 from studies.words.wording import count
 
@@ -42,16 +42,12 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
         The case file, and what a calibration's error means in PEtab's terms.
 
     Raises:
-        InputError: The problem says what a case cannot say, the FMU lacks a name, or the case is there.
+        InputError: The problem says what a case cannot say, the FMU lacks a name, or a file would be
+            overwritten.
     """
     fmu, petab = describe(fmu_file), read_petab(problem_file)
     folder = (to.expanduser() if to else paths.fmus / case_name(problem_file.stem)).resolve()
     check_written(folder)
-    if (folder / "case.toml").exists():
-        raise InputError(
-            f"{paths.show(folder / 'case.toml')} exists and is never overwritten; choose another folder: "
-            "--to FOLDER"
-        )
     unit_s = own_unit_s(fmu.variables, fmu.units, None, fmu.path.name)
     names = _outputs(petab, fmu, problem_file)
     # The variable that an estimated parameter is given to, where conditions do that.
@@ -66,23 +62,8 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
     known = {name: value for name, value in petab.known.items() if name in fmu.variables}
     groups = {str(name): part for name, part in samples.groupby("condition")}
     first = next(iter(groups))
-    keys: dict[str, Any] = {"note": (note := _note(petab, problem_file.stem))}
-    folder.mkdir(parents=True, exist_ok=True)
-    if len(groups) > 1 or shared:
-        keys["experiments"] = [
-            {
-                "name": _experiment(name),
-                "time": {"window_s": [0.0, _end(part, step_s)]},
-                "outputs": _write(folder, name, part, names, fmu),
-                **_held(petab.conditions[name]),
-            }
-            for name, part in groups.items()
-        ]
-    else:
-        known |= _held(petab.conditions[first]).get("fixed", {})
-    copied = folder / fmu_file.name
-    if copied.resolve() != fmu_file.resolve():
-        shutil.copyfile(fmu_file, copied)
+    note, end_s = _note(petab, problem_file.stem), _end(groups[first], step_s)
+    keys: dict[str, Any] = {"note": note, "interface": fmu.usual_interface, "time": _steps(step_s, end_s)}
     outputs = {
         names[str(name)]: {
             "values": pd.Series(part["value"].to_numpy(), part["time"].to_numpy()),
@@ -91,31 +72,46 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
         }
         for name, part in groups[first].groupby("observable")
     }
-    end_s = _end(groups[first], step_s)
-    problem = Problem(
-        copied,
-        outputs,
-        parameters,
-        fixed=known,
-        step_s=step_s,
-        window_s=(0.0, end_s),
-        name=case_name(folder.name),
-        keys=keys | {"interface": _interface(fmu)} | {"time": _steps(step_s, end_s)},
-    )
-    return problem.save(folder), note
+    # Made elsewhere first: nothing that lies in the folder is overwritten.
+    with tempfile.TemporaryDirectory(prefix="studies-petab-") as made_in:
+        made = Path(made_in)
+        if len(groups) > 1 or shared:
+            keys["experiments"] = [
+                {
+                    "name": _experiment(name),
+                    "time": {"window_s": [0.0, _end(part, step_s)]},
+                    "outputs": _write(made, name, part, names, fmu),
+                    **_held(petab.conditions[name]),
+                }
+                for name, part in groups.items()
+            ]
+        else:
+            known |= _held(petab.conditions[first]).get("fixed", {})
+        (linked := made / fmu_file.name).symlink_to(fmu_file.resolve())
+        problem = Problem(
+            linked,
+            outputs,
+            parameters,
+            fixed=known,
+            step_s=step_s,
+            window_s=(0.0, end_s),
+            name=case_name(folder.name),
+            keys=keys,
+        )
+        case_file = problem.save(made)
+        files = {folder / one.name: one.read_bytes() for one in made.glob("*.csv")}
+        files[folder / case_file.name] = case_file.read_bytes()
+    write_case(files, fmu_file, folder / fmu_file.name, paths)
+    return folder / case_file.name, note
 
 
-def _held(condition: Mapping[str, float | str]) -> dict[str, dict[str, Any]]:
+def _held(condition: Condition) -> dict[str, dict[str, Any]]:
     """Return what holds in a condition as the keys `fixed` and `shared` of an experiment."""
     parts = {
         "fixed": {name: value for name, value in condition.items() if not isinstance(value, str)},
         "shared": {name: value for name, value in condition.items() if isinstance(value, str)},
     }
     return {key: values for key, values in parts.items() if values}
-
-
-def _interface(fmu: FmuDescription) -> str:
-    return "co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange"
 
 
 def _outputs(petab: Petab, fmu: FmuDescription, file: Path) -> dict[str, str]:

@@ -67,7 +67,7 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         fmu=fmu,
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
-        interface="co-simulation" if "co-simulation" in fmu.interfaces else "model-exchange",
+        interface=fmu.usual_interface,
         inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
         outputs=choose_outputs(fmu, options.output),
         parameters=chosen,
@@ -81,36 +81,46 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
     # One's own data and what was written beside them stay as they are.
     kept = [file for file, text in texts.items() if file != case_file and _holds_other(file, text.encode())]
     texts = {file: text for file, text in texts.items() if file not in kept}
-    try:
-        is_copied = _write(texts, fmu_file, copied, paths)
-    except OSError as error:
-        place = paths.show(Path(error.filename or folder))
-        raise InputError(
-            f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
-            "--to FOLDER"
-        ) from None
+    is_copied = write_case({file: text.encode() for file, text in texts.items()}, fmu_file, copied, paths)
     files = (*reversed(texts), *[copied] * is_copied)
     return MadeCase(case, files, tuple(kept), tuple(lines_to_edit(texts[case_file])))
 
 
-def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
-    """Write the texts and copy the FMU, or nothing where there is a case file or another FMU already.
+def write_case(files: Mapping[Path, bytes], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
+    """Write the files of a case and copy the FMU, or nothing where one of them would be overwritten.
 
-    The case file is the last text, so that a command that was killed can be typed again: what it had written
+    The case file is the last one, so that a command that was killed can be typed again: what it had written
     is there already.
+
+    Args:
+        files: Their contents.
+        fmu_file: The FMU.
+        copied: Where it is copied.
+        paths: The project.
 
     Returns:
         Whether the FMU was copied.
+
+    Raises:
+        InputError: The case file or another file of a name is there, or the folder cannot be written.
     """
-    case_file, content = list(texts)[-1], fmu_file.read_bytes()
-    for file in [case_file] if case_file.exists() else [copied] if _holds_other(copied, content) else []:
+    case_file, every = list(files)[-1], {copied: fmu_file.read_bytes(), **files}
+    others = (file for file, content in every.items() if _holds_other(file, content))
+    for file in [case_file] if case_file.exists() else others:
         raise InputError(
             f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
         )
     is_copied = not copied.exists()
-    for file in [copied] * is_copied + list(texts):
-        with whole_file(file) as stream:
-            stream.write(content if file == copied else texts[file].encode())
+    try:
+        for file in [copied] * is_copied + list(files):
+            with whole_file(file) as stream:
+                stream.write(every[file])
+    except OSError as error:
+        place = paths.show(Path(error.filename or case_file.parent))
+        raise InputError(
+            f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
+            "--to FOLDER"
+        ) from None
     return is_copied
 
 

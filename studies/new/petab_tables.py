@@ -18,8 +18,6 @@ from simulation.errors import InputError
 from simulation.foreign_text import shortened
 
 MISSING = "PEtab is read by the package petab; install it: pip install 'pelsvae-studies[petab]'"
-# What numbers stand for in formulas of the first version.
-_PLACEHOLDER = "{}Parameter{}_{}"
 _COLUMNS = {
     "measurement": ("observableId", "measurement", "time"),
     "observable": ("observableFormula", "noiseFormula"),
@@ -67,7 +65,7 @@ class Petab:
     formulas: Mapping[str, str]
     estimated: Mapping[str, Estimated]
     known: Mapping[str, float]
-    conditions: Mapping[str, Mapping[str, float | str]]
+    conditions: Mapping[str, Condition]
     chi2_of_replicates: float
 
 
@@ -215,6 +213,8 @@ class _Tables:
         if unknown:
             raise self.refuse(f"measurements of {min(unknown)}, which is no observable")
         conditions, of_each = self.conditions(known)
+        if undeclared := {*of_each} - {*conditions}:
+            raise self.refuse(f"measurements of the condition {min(undeclared)}, which is declared nowhere")
         samples = pd.DataFrame(
             {
                 "condition": of_each,
@@ -252,7 +252,7 @@ class _FirstVersion(_Tables):
         super().__init__(file, tables, version)
 
     def placeholders(self, observable: str) -> list[str]:
-        return [_PLACEHOLDER.format("noise", n, observable) for n in range(1, 10)]
+        return [f"noiseParameter{n}_{observable}" for n in range(1, 10)]
 
     def check_observable(self, name: str, row: Mapping[Any, Any]) -> None:
         if row.get("observableTransformation", "lin") not in ("lin", "", None):
@@ -311,10 +311,9 @@ class _SecondVersion(_Tables):
         return said.split(";") if isinstance(said, str) else []
 
     def check_observable(self, name: str, row: Mapping[Any, Any]) -> None:
-        if row.get("noiseDistribution") not in ("normal", "", None) and isinstance(
-            row["noiseDistribution"], str
-        ):
-            raise self.refuse(f"the noise of {name} is {row['noiseDistribution']}; a case has normal noise")
+        said = row.get("noiseDistribution")
+        if isinstance(said, str) and said not in ("normal", ""):
+            raise self.refuse(f"the noise of {name} is {said}; a case has normal noise")
 
     def conditions(self, known: Mapping[str, float]) -> tuple[dict[str, Condition], list[str]]:
         table, periods, found = self.table("condition"), self.table("experiment"), dict[str, Condition]()

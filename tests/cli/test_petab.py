@@ -143,9 +143,13 @@ def test_conditions_are_experiments_and_replicates_one_sample(
     assert (k.prior.centre, k.prior.deviation) == pytest.approx((1e-4, 10.0**0.3))
     (found,) = studies("calibrate", "decay", "--max-calls", "20", "--jobs", "1", "--json").document["stages"]
     assert found["theta"]["k"] == pytest.approx(K, rel=0.05)
-    again = studies("new", str(file), "--fmu", str(fmu))
-    assert (again.code, again.err.count("\n")) == (2, 1)
-    assert "is never overwritten" in again.err
+    (new_project / "own").mkdir()
+    (new_project / "own" / "y.csv").write_text("mine")
+    for words in ((), ("--to", "own")):
+        again = studies("new", str(file), "--fmu", str(fmu), *words)
+        assert (again.code, again.err.count("\n")) == (2, 1)
+        assert "is never overwritten" in again.err
+    assert [one.name for one in (new_project / "own").iterdir()] == ["y.csv"]
 
 
 def test_conditions_give_variables_estimated_parameters(
@@ -217,6 +221,10 @@ def test_the_second_version(new_project: Path, tmp_path: Path, fmu: Path, studie
         (
             {"measurements": f"{MEASURED}\nother\tweak\t1\t1\t1"},
             "measurements of other, which is no observable",
+        ),
+        (
+            {"measurements": f"{MEASURED}\nobs\tmild\t1\t1\t1"},
+            "the condition mild, which is declared nowhere",
         ),
         ({"measurements": f"{MEASURED}\nobs\tweak\t1\t1\t0"}, "the noise of obs is 0; give one above 0"),
         (
