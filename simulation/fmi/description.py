@@ -75,7 +75,7 @@ class FmuDescription:
 
     @property
     def usual_interface(self) -> Interface:
-        """How it is run where nobody says it: by its own solver, where it has one."""
+        """How it is run by default: by its own solver, where it has one."""
         return "co-simulation" if "co-simulation" in self.interfaces else "model-exchange"
 
     def interface(self, name: str, where: str) -> FmuInterface:

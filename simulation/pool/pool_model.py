@@ -275,6 +275,7 @@ class PoolModel:
             # What still runs is not waited for; what has finished has been paid for.
             for future in [future for future in batch.running if future.done()]:
                 yield from batch.finished(future)
+            self.close()  # also where all that ran has finished
             raise
         finally:
             if batch.running:

@@ -72,7 +72,7 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
         }
         for name, part in groups[first].groupby("observable")
     }
-    # Made elsewhere first: nothing that lies in the folder is overwritten.
+    # Made in a temporary folder first: no file of the user's is overwritten.
     with tempfile.TemporaryDirectory(prefix="studies-petab-") as made_in:
         made = Path(made_in)
         if len(groups) > 1 or shared:
