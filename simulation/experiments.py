@@ -1,5 +1,6 @@
 """Several experiments as one model: every row is simulated in each, and its outputs stand side by side."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,11 @@ class ExperimentRows:
         """Read what opening the models reads, for forks of this process."""
         for one in self.settings:
             one.prepare()
+
+    def make_ready(self, on_warning: Callable[[str], None]) -> None:
+        """Make what opening the models needs once on a machine; see FmuSettings."""
+        for one in self.settings:
+            one.make_ready(on_warning)
 
     def open(self) -> "ExperimentsModel":
         """Open the models; the bound method is the factory that worker processes are given."""

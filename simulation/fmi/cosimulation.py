@@ -8,10 +8,12 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.call import make_ready
-from simulation.fmi.instance import DISCARD, WARNING, FmuInstance
+from simulation.fmi.instance import FmuInstance
 from simulation.fmi.log import last_message
 from simulation.fmi.loop import EARLY, ENDED, FUNCTIONS, step_through
-from simulation.fmi.start import RunPlan, Start
+from simulation.fmi.row_calls import RunPlan
+from simulation.fmi.start import Start
+from simulation.fmi.status import DISCARD, WARNING, Instance
 
 # fmi2StatusKind that asks whether the FMU wants to end the simulation.
 _TERMINATED = 3
@@ -23,6 +25,30 @@ def prepare() -> None:
     table, times = np.zeros((0, 5), dtype=np.intp), np.zeros(1)
     references = np.zeros(0, dtype=np.uint32)
     make_ready(step_through, table[:, 0].copy(), 0, table, references, times, 1, times, np.zeros((1, 0)))
+
+
+def why_failed(instance: Instance, plan: RunPlan, status: int, name: str, step: int, reached: float) -> str:
+    """Say why a row failed, and mark its instance as damaged where a call failed.
+
+    Args:
+        instance: The FMU.
+        plan: What was stepped through.
+        status: Of the last call, or ENDED or EARLY, see loop.
+        name: Its function, without the version.
+        step: Its step.
+        reached: The time that an early return got to. [FMU's unit of time]
+
+    Returns:
+        One line; "" where the row is good.
+    """
+    if status <= WARNING:
+        return ""
+    time = plan.in_seconds(float(plan.edges[step]))
+    if status == ENDED:
+        return f"the FMU ended the simulation by itself in the step at {time:g} s{last_message(': {}')}"
+    if status == EARLY:
+        return f"the FMU returned early, at {plan.in_seconds(reached):g} s, from the step at {time:g} s"
+    return instance.failure(name, status, time)
 
 
 class CoSimulation:
@@ -53,16 +79,12 @@ class CoSimulation:
         if failure := self._start.begin(values):
             return failure
         status, stage, step = step_through(*self._arguments(y))
-        if status <= WARNING:
-            return ""
-        time = self._plan.in_seconds(float(self._plan.edges[step]))
         # FMI 3.0 says so by a flag of the step, FMI 2.0 by a discarded step and an answer when asked.
-        if status == ENDED or (status == DISCARD and self._wants_to_end()):
-            return f"the FMU ended the simulation by itself in the step at {time:g} s{last_message(': {}')}"
-        if status == EARLY:
-            reached = self._plan.in_seconds(float(self._reached[0]))
-            return f"the FMU returned early, at {reached:g} s, from the step at {time:g} s"
-        return self._instance.failure(self._names[stage], status, time)
+        if status == DISCARD and self._wants_to_end():
+            status = ENDED
+        return why_failed(
+            self._instance, self._plan, status, self._names[stage], step, float(self._reached[0])
+        )
 
     def _arguments(self, y: FloatArray) -> tuple[Any, ...]:
         """Return what the loop is called with."""

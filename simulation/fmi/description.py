@@ -240,22 +240,13 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         Exception: If something in it is not what its name promises.
     """
     version = reading.version_of(path, str(model.fmiVersion))
-    found = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
+    found: dict[Interface, Any] = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
     interfaces = {name: reading.interface_of(one) for name, one in found.items() if one is not None}
     if not interfaces:
         raise InputError(
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
         )
-    binaries = {
-        name: reading.binary_member(version, one.model_identifier) for name, one in interfaces.items()
-    }
-    # An FMU may have a binary per interface, and not all of them for this platform.
-    runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
-    if not runnable:
-        raise InputError(
-            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing); "
-            f"export or compile it for {reading.PLATFORM_FOLDERS[version]}"
-        )
+    runnable = reading.binary_for(path, version, interfaces, names)
     n_event_indicators = int(model.numberOfEventIndicators)
     if n_event_indicators < 0:
         raise ValueError(f"{n_event_indicators} event indicators")
@@ -271,7 +262,7 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         sha256=hashlib.sha256(content).hexdigest(),
         variables=variables,
         fmi_version=version,
-        interfaces=runnable,
+        interfaces={**runnable},
         default_experiment=reading.experiment_of(
             model.defaultExperiment, unit_s=clock_of(variables, units).unit_s or 1.0
         ),

@@ -14,7 +14,8 @@ from simulation.fmi import exchange_loop as loop
 from simulation.fmi.call import make_ready
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.start import RunPlan, Start
+from simulation.fmi.row_calls import RunPlan
+from simulation.fmi.start import Start
 
 try:
     from fmpy import sundials

@@ -3,6 +3,8 @@
 import io
 import math
 import zipfile
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -10,26 +12,66 @@ from xml.etree import ElementTree
 import fmpy
 
 from simulation.errors import InputError
-from simulation.fmi.variable import SETTERS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
+from simulation.fmi.variable import (
+    SETTERS,
+    DefaultExperiment,
+    FmiVersion,
+    FmuInterface,
+    FmuVariable,
+    Interface,
+)
+from simulation.fmi.wine import INSTALL, wine_program
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
 LAST_REFERENCE = 2**32 - 1  # value references are unsigned 32-bit integers
-# Folder of this platform's binaries, by FMI version.
+# Folders of binaries by FMI version: of this platform, of 64-bit Windows, of 32-bit Windows.
 PLATFORM_FOLDERS = {"2.0": fmpy.platform, "3.0": fmpy.platform_tuple}
+_WINDOWS = {"2.0": "win64", "3.0": "x86_64-windows"}
+_WINDOWS_32 = {"2.0": "win32", "3.0": "x86-windows"}
 
 
-def binary_member(fmi_version: str, model_identifier: str) -> str:
-    """Name the archive member that is the binary for this platform.
+def binary_for(
+    path: Path, version: FmiVersion, interfaces: Mapping[Interface, FmuInterface], names: Collection[str]
+) -> dict[Interface, FmuInterface]:
+    """Find what of an FMU can be run here: what is for this platform, else what Wine can run.
 
     Args:
-        fmi_version: "2.0" or "3.0".
-        model_identifier: Name of the binary.
+        path: The FMU, for messages.
+        version: Its FMI version.
+        interfaces: What it declares.
+        names: Members of the archive.
 
     Returns:
-        Its path in the FMU.
+        The interfaces that can be run, with their binaries; at least one.
+
+    Raises:
+        InputError: If there is none.
     """
-    return f"binaries/{PLATFORM_FOLDERS[fmi_version]}/{model_identifier}{fmpy.sharedLibraryExtension}"
+
+    def found(folder: str, ending: str) -> dict[Interface, FmuInterface]:
+        """Return the interfaces that have a binary; an FMU may have one for some of them alone."""
+        at = {name: f"binaries/{folder}/{one.model_identifier}{ending}" for name, one in interfaces.items()}
+        return {name: replace(one, binary=at[name]) for name, one in interfaces.items() if at[name] in names}
+
+    here, windows = PLATFORM_FOLDERS[version], _WINDOWS[version]
+    if native := found(here, fmpy.sharedLibraryExtension):
+        return native
+    for_windows = found(windows, ".dll")
+    if "co-simulation" in for_windows and wine_program() is not None:
+        return {"co-simulation": for_windows["co-simulation"]}
+    if "co-simulation" in for_windows:
+        raise InputError(
+            f"{path}: its binary is for Windows (binaries/{windows}), which Wine can run here; "
+            f"{INSTALL}, or export or compile the FMU for {here}"
+        )
+    identifier = shortened(next(iter(interfaces.values())).model_identifier)
+    why = f"binaries/{here}/{identifier}{fmpy.sharedLibraryExtension} is missing"
+    if for_windows:
+        why = "the one for Windows is for model exchange, and Wine runs co-simulation"
+    elif found(_WINDOWS_32[version], ".dll"):
+        why = "the one for Windows is a 32-bit one"
+    raise InputError(f"{path}: no binary for this platform ({why}); export or compile it for {here}")
 
 
 def unit_of(unit: Any) -> UnitDefinition:

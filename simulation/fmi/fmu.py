@@ -1,7 +1,7 @@
 """FmuModel: an FMU as a forward model, run in this process."""
 
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +14,15 @@ from simulation.fmi.cosimulation import CoSimulation
 from simulation.fmi.description import FmuDescription, known_description
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.reset_proof import RestartingRunner
+from simulation.fmi.row_calls import RunPlan
 from simulation.fmi.runner import Solver
-from simulation.fmi.start import RunPlan, Start
+from simulation.fmi.start import Start
+from simulation.fmi.status import Instance
 from simulation.fmi.ties import Tie
 from simulation.fmi.unpack import keep, unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
+from simulation.fmi.windows import WindowsFmu
+from simulation.fmi.wine import make_wine_folder
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.trajectories import Trajectories, wrong_number, wrong_output
@@ -118,14 +122,25 @@ class FmuSettings:
 
     def prepare(self) -> None:
         """Read and compile what opening the model needs, for forks of this process; the FMU is not loaded."""
-        known_description(self.path)
-        keep(self.path)
+        driven = known_description(self.path).interface(self.interface, str(self.path))
+        keep(self.path, driven.binary)
+        if driven.is_for_windows:
+            return
         if self.interface == "co-simulation":
             cosimulation.prepare()
         else:
             from simulation.fmi import exchange
 
             exchange.prepare()
+
+    def make_ready(self, on_warning: Callable[[str], None]) -> None:
+        """Make what opening the model needs once on a machine: for an FMU for Windows, Wine's folder.
+
+        Args:
+            on_warning: Called with one line before something is made.
+        """
+        if known_description(self.path).interface(self.interface, str(self.path)).is_for_windows:
+            make_wine_folder(on_warning)
 
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the factory that worker processes are given."""
@@ -163,12 +178,13 @@ class FmuModel:
         # The warm-up is simulated into rows that are not handed out.
         self._y_simulated = plan.empty_y()
         with ExitStack() as stack:
-            scratch = unpacked(settings.path)
+            driven = description.interface(settings.interface, str(settings.path))
+            scratch = unpacked(settings.path, driven.binary)
             # First, so last undone: the library is unloaded before its folder is removed.
             stack.callback(scratch.remove)
-            instance = FmuInstance(description, settings.interface, scratch.folder)
-            stack.callback(instance.close)
-            self._runner = _runner(instance, description, plan, settings.interface)
+            instance, solver = _opened(description, plan, settings.interface, scratch.folder, stack)
+            once = driven.can_be_instantiated_only_once_per_process
+            self._runner = RestartingRunner(instance, solver, trusting=once)
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
@@ -229,25 +245,28 @@ class FmuModel:
         self.close()
 
 
-def _runner(
-    instance: FmuInstance, description: FmuDescription, plan: RunPlan, interface: Interface
-) -> RestartingRunner:
-    """Choose the solver of an FMU.
+def _opened(
+    description: FmuDescription, plan: RunPlan, interface: Interface, folder: Path, stack: ExitStack
+) -> tuple[Instance, Solver]:
+    """Load the FMU and choose its solver.
 
     Args:
-        instance: The FMU, just instantiated.
         description: What it says of itself.
         plan: What is set, stepped through and read.
         interface: How it is to be driven.
+        folder: Where it is unpacked.
+        stack: Closes it.
     """
+    if description.interfaces[interface].is_for_windows:
+        windows = WindowsFmu(description, interface, folder, plan)
+        stack.callback(windows.close)
+        return windows, windows
+    instance = FmuInstance(description, interface, folder)
+    stack.callback(instance.close)
     start = Start(instance, plan)
-    solver: Solver
     if interface == "co-simulation":
-        solver = CoSimulation(instance, plan, start)
-    else:
-        # Here, because it loads CVODE and compiles its callbacks.
-        from simulation.fmi.exchange import ModelExchange
+        return instance, CoSimulation(instance, plan, start)
+    # Here, because it loads CVODE and compiles its callbacks.
+    from simulation.fmi.exchange import ModelExchange
 
-        solver = ModelExchange(instance, plan, start, description=description)
-    once = description.interfaces[interface].can_be_instantiated_only_once_per_process
-    return RestartingRunner(instance, solver, trusting=once)
+    return instance, ModelExchange(instance, plan, start, description=description)

@@ -12,42 +12,21 @@ from typing import Any
 import fmpy
 import numpy as np
 
-from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.fmpy_description import binary_member
-from simulation.fmi.log import CALLBACKS_2, LOGGER_3, forget_messages, last_message
-from simulation.fmi.runner import NeedsFreshProcess
+from simulation.fmi.log import CALLBACKS_2, LOGGER_3, forget_messages
+from simulation.fmi.status import FATAL, WARNING, Instance
 from simulation.fmi.variable import Interface
 from simulation.foreign_code import foreign_code
 
-# Values of fmi2Status and fmi3Status.
-OK = 0
-WARNING = 1
-DISCARD = 2
-FATAL = 4
-_STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-
-# What FMI 2.0 calls otherwise; everything here has FMI 3.0's names.
-_IN_FMI2 = {
-    "GetFloat64": "GetReal",
-    "UpdateDiscreteStates": "NewDiscreteStates",
-    "GetContinuousStateDerivatives": "GetDerivatives",
-}
 # Loading changes the working directory of the whole process.
 _LOADING = threading.Lock()
 
 
-class FmuInstance:
-    """The loaded library of an FMU and its one instance, which may be replaced by a new one.
-
-    Functions have the names of FMI 3.0 without the version: "DoStep" is fmi2DoStep or fmi3DoStep. A status
-    above WARNING makes the instance damaged: it is to be replaced before it is used again.
+class FmuInstance(Instance):
+    """The library of an FMU, loaded into this process, and its one instance.
 
     Attributes:
-        prefix: "fmi2" or "fmi3".
         component: Address of the instance.
-        damaged: Whether the instance is to be replaced before it is used again.
-        lost: Whether the FMU said that no instance of the process can be used again.
         is_initialized: Whether the initialization is over, and the instance is to be terminated at its end.
     """
 
@@ -62,33 +41,26 @@ class FmuInstance:
         Raises:
             InputError: If the library cannot be loaded or refuses to be instantiated.
         """
-        self._path = description.path
-        self._identifier = description.interface(interface, str(description.path)).model_identifier
+        super().__init__(description.path, description.fmi_version)
+        found = description.interface(interface, str(description.path))
+        self._identifier = found.model_identifier
         self._guid = description.guid.encode()
         self._is_co_simulation = interface == "co-simulation"
         self._folder = folder
-        self.prefix = "fmi2" if description.fmi_version == "2.0" else "fmi3"
         self._functions: dict[str, Any] = {}
-        self._library = self._load(binary_member(description.fmi_version, self._identifier))
-        self.lost = False
+        self._library = self._load(found.binary)
         self._instantiate()
         if not self.component:
             # Some FMUs say why only where logging is on.
             self._instantiate(is_logging=True)
         if not self.component:
-            said = last_message(" ({})")
+            refusal = self.refusal()
             self._unload()
-            raise InputError(
-                f"{self._path}: the FMU refuses to be instantiated{said}; try it in another FMI tool"
-            )
+            raise refusal
 
     def has(self, name: str) -> bool:
         """Return whether the library has a function of this name."""
         return hasattr(self._library, self.full_name(name))
-
-    def full_name(self, name: str) -> str:
-        """Return the name of a function as the library has it: "DoStep" gives "fmi2DoStep"."""
-        return self.prefix + (_IN_FMI2.get(name, name) if self.prefix == "fmi2" else name)
 
     def addresses(self, *names: str) -> Any:
         """Return the addresses of functions. Shape (n,), intp.
@@ -139,23 +111,6 @@ class FmuInstance:
                 return self.failure(call[0], status, time)
         return ""
 
-    def failure(self, name: str, status: int, time: float) -> str:
-        """Return why a call failed, and mark the instance as damaged.
-
-        Args:
-            name: Function that was called, without the version.
-            status: What it returned.
-            time: Simulated time of the call. [s]
-
-        Returns:
-            One line.
-        """
-        self.damaged = True
-        # A status that no version of the standard has is taken for fatal.
-        self.lost = self.lost or status == FATAL or status >= len(_STATUS)
-        known = f"{self.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
-        return f"{self.full_name(name)} returned {known} at {time:g} s{last_message(': {}')}"
-
     def reset(self) -> bool:
         """Ask the FMU to be as if just instantiated.
 
@@ -173,14 +128,10 @@ class FmuInstance:
         """
         # First: some FMUs allow one instance at a time.
         self._free_instance()
-        if self.lost:
-            raise NeedsFreshProcess(
-                f"{self._path}: after {self.prefix}Fatal no instance of this process can be used"
-            )
-        self._instantiate()
+        if not self.lost:
+            self._instantiate()
         if not self.component:
-            said = last_message(" ({})")
-            raise NeedsFreshProcess(f"{self._path}: the FMU makes no second instance in one process{said}")
+            raise self.no_other()
 
     def close(self) -> None:
         """Free the instance and unload the library; closing twice does no harm."""
@@ -196,7 +147,7 @@ class FmuInstance:
                 return ctypes.CDLL(str(path))
         except OSError as error:
             said = " ".join(str(error).split())
-            raise InputError(f"{self._path}: cannot be loaded ({said})") from None
+            raise self.not_loaded(said) from None
 
     def _function(self, name: str) -> Any:
         """Find a function anew, with no types yet."""
@@ -204,7 +155,7 @@ class FmuInstance:
         try:
             return self._library[full]
         except AttributeError:
-            raise InputError(f"{self._path}: its binary has no function {full}; export it again") from None
+            raise self.no_function(full) from None
 
     def _instantiate(self, is_logging: bool = False) -> None:
         forget_messages()

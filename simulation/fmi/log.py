@@ -24,6 +24,12 @@ def last_message(form: str) -> str:
     return form.format(said) if said else ""
 
 
+def note_message(said: str) -> None:
+    """Take note of what an FMU of another process complained with last; "" for nothing."""
+    if said:
+        _LAST[False] = " ".join(said.split())
+
+
 def forget_messages() -> None:
     """Forget what was logged so far."""
     _LAST.clear()

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.instance import FmuInstance
 from simulation.fmi.log import forget_messages
 from simulation.fmi.runner import NeedsFreshProcess, Solver
+from simulation.fmi.status import Instance
 
 # A row as quick as this is repeated without a thought.
 _CHEAP_S = 0.1
@@ -36,7 +36,7 @@ class RestartingRunner:
     What no run in one process can show is an FMU that keeps some of them; that takes the same row in two.
     """
 
-    def __init__(self, instance: FmuInstance, solver: Solver, *, trusting: bool = False) -> None:
+    def __init__(self, instance: Instance, solver: Solver, *, trusting: bool = False) -> None:
         """Answer rows with an instance, by a solver.
 
         Args:

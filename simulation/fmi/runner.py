@@ -16,6 +16,18 @@ class NeedsFreshProcess(RuntimeError):  # noqa: N818 (says what is to be done, n
     """
 
 
+class FmuProcessEnded(RuntimeError):  # noqa: N818 (says what has happened)
+    """The FMU ended the process that it has of its own, with the row at hand.
+
+    Attributes:
+        exit_code: What the process ended with, or minus the signal that killed it.
+    """
+
+    def __init__(self, exit_code: int) -> None:
+        super().__init__(f"the FMU ended its process with exit code {exit_code}")
+        self.exit_code = exit_code
+
+
 class Solver(Protocol):
     """Takes an instance that is as if just instantiated through one row, by one interface."""
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from simulation.errors import InputError, MachineError
-from simulation.fmi.fmpy_description import PLATFORM_FOLDERS
 from simulation.foreign_file import archive_errors, identity
 from simulation.scratch import ScratchFolder
 
@@ -31,29 +30,30 @@ class Member:
     is_program: bool
 
 
-# By the identity of the FMU's file.
+# By the identity of the FMU's file and the binary that is run.
 _kept: dict[tuple[object, ...], tuple[Member, ...]] = {}
 
 
-def keep(path: Path) -> None:
+def keep(path: Path, binary: str) -> None:
     """Keep what running an FMU needs in memory, so that forks of this process write it and read nothing.
 
     Args:
         path: The FMU.
+        binary: The member that is run, which may need others of its folder.
 
     Raises:
         InputError: As `unpacked`.
     """
     with archive_errors(path), zipfile.ZipFile(path) as archive:
-        needed = list(_needed(path, archive))
+        needed = list(_needed(path, archive, binary))
         if sum(member.file_size for member, _ in needed) <= MOST_KEPT_BYTES:
-            _kept[identity(path)] = tuple(
+            _kept[identity(path), binary] = tuple(
                 Member(member.filename, None if member.is_dir() else archive.read(member), is_program)
                 for member, is_program in needed
             )
 
 
-def unpacked(path: Path) -> ScratchFolder:
+def unpacked(path: Path, binary: str) -> ScratchFolder:
     """Unpack the part of an FMU that running it needs into a folder of its own.
 
     A folder for each process and no shared one: some FMUs write beside their resources, and a library that
@@ -61,6 +61,7 @@ def unpacked(path: Path) -> ScratchFolder:
 
     Args:
         path: The FMU.
+        binary: The member that is run, which may need others of its folder.
 
     Returns:
         The folder, to be removed by the caller.
@@ -72,8 +73,8 @@ def unpacked(path: Path) -> ScratchFolder:
     scratch = ScratchFolder(SCRATCH_PREFIX)
     try:
         with archive_errors(path):
-            if (members := _kept.get(identity(path))) is None:
-                _unpack(path, scratch.folder)
+            if (members := _kept.get((identity(path), binary))) is None:
+                _unpack(path, scratch.folder, binary)
             for member in members or ():
                 _write(member, scratch.folder)
         # The FMU gets the address of this folder, present or not.
@@ -90,8 +91,9 @@ def unpacked(path: Path) -> ScratchFolder:
     return scratch
 
 
-def _needed(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[zipfile.ZipInfo, bool]]:
+def _needed(path: Path, archive: zipfile.ZipFile, binary: str) -> Iterator[tuple[zipfile.ZipInfo, bool]]:
     """Return the members that running an FMU needs, and which are programs."""
+    platform = PurePosixPath(binary).parts[:2]
     for member in archive.infolist():
         name = member.filename
         # Some tools write Windows' separators.
@@ -101,7 +103,7 @@ def _needed(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[zipfile.ZipI
                 f"{path}: holds the member {name!r}, which points outside; do not trust this FMU"
             )
         needed = parts[:1] in {("modelDescription.xml",), ("resources",)}
-        if not needed and (parts[:1] != ("binaries",) or parts[1:2] not in _PLATFORMS):
+        if not needed and parts[:2] != platform:
             continue
         # A zip archive has the Unix mode in the upper half.
         mode = member.external_attr >> 16
@@ -112,9 +114,9 @@ def _needed(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[zipfile.ZipI
         yield member, bool(mode & stat.S_IXUSR)
 
 
-def _unpack(path: Path, folder: Path) -> None:
+def _unpack(path: Path, folder: Path, binary: str) -> None:
     with zipfile.ZipFile(path) as archive:
-        for member, is_program in _needed(path, archive):
+        for member, is_program in _needed(path, archive, binary):
             target = Path(archive.extract(member, folder))
             # zipfile forgets that a resource is a program.
             if is_program and target.is_file():
@@ -130,6 +132,3 @@ def _write(member: Member, folder: Path) -> None:
     target.write_bytes(member.content)
     if member.is_program:
         target.chmod(0o700)
-
-
-_PLATFORMS = {(name,) for name in PLATFORM_FOLDERS.values()}

@@ -198,11 +198,18 @@ class FmuInterface:
         model_identifier: Name of the binary.
         can_be_instantiated_only_once_per_process: Whether it allows one instance at a time.
         needs_execution_tool: Whether it needs the tool that made it.
+        binary: The archive member that is run.
     """
 
     model_identifier: str
     can_be_instantiated_only_once_per_process: bool = False
     needs_execution_tool: bool = False
+    binary: str = ""
+
+    @property
+    def is_for_windows(self) -> bool:
+        """Whether what is run is a library of Windows, which takes Wine here."""
+        return self.binary.endswith(".dll")
 
 
 @dataclass(frozen=True)

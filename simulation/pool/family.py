@@ -44,12 +44,16 @@ def kill_descendants(*, but: Collection[int] = ()) -> None:
                 os.waitpid(pid, 0)
 
 
-def children() -> set[int]:
-    """Return the ids of the processes whose parent this one is."""
+def children(parent: int | None = None) -> set[int]:
+    """Return the ids of the processes whose parent is a process.
+
+    Args:
+        parent: Its id; None for this one.
+    """
     # psutil looks at all processes of the machine, which takes as long as to fork.
-    lists = list(Path("/proc/self/task").glob("*/children"))
+    lists = list(Path(f"/proc/{parent or 'self'}/task").glob("*/children"))
     if not lists:
-        return {one.pid for one in psutil.Process().children()}
+        return {one.pid for one in psutil.Process(parent).children()}
     return {int(pid) for one in lists for pid in one.read_text().split()}
 
 

@@ -155,6 +155,9 @@ class PoolModel:
             raise ValueError(f"n_workers is {n_workers}; at least one process has to work")
         self._policy = policy or ExecutionPolicy()
         self._facts = known_facts(make_model)
+        self._make_ready: Callable[[Callable[[str], None]], None] | None = getattr(
+            getattr(make_model, "__self__", None), "make_ready", None
+        )
         self._n_workers = n_workers
         self._on_warning = on_warning or _LOG.warning
         self._processes = Processes(make_model, self._policy)
@@ -297,6 +300,8 @@ class PoolModel:
         if self._executor is not None and self._remote is not None:
             return self._executor.submit(self._remote.simulate, question)
         if self._threads is None:
+            if self._make_ready is not None:
+                self._make_ready(self._on_warning)
             self._threads = ThreadPoolExecutor(self.n_workers, "simulate")
         return self._threads.submit(self._processes.simulate, question)
 

@@ -24,7 +24,7 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError, MachineError
 from simulation.foreign_code import ENDED_BY
 from simulation.pool.execution import ExecutionPolicy
-from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
+from simulation.pool.family import adopt_orphans, children, in_a_fork, kill_descendants
 from simulation.pool.worker_process import (
     LOG,
     ChunkAnswer,
@@ -118,9 +118,13 @@ class _Worker:
 
     @property
     def mb(self) -> float:
-        """Memory that is its own: what is shared does not count."""
-        info = psutil.Process(self.pid).memory_info()
-        return float(info.rss - info.shared) / 1e6
+        """Memory that is its own and that of its children; what is shared does not count."""
+        taken = 0.0
+        for pid in (self.pid, *children(self.pid)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                info = psutil.Process(pid).memory_info()
+                taken += float(info.rss - info.shared) / 1e6
+        return taken
 
 
 class _Supervisor:

@@ -20,13 +20,13 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
-from simulation.fmi.runner import NeedsFreshProcess
+from simulation.fmi.runner import FmuProcessEnded, NeedsFreshProcess
 from simulation.foreign_code import opening_limited
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
@@ -234,6 +234,8 @@ def work(
         with opening_limited(opening_s):
             model = make_model()
         facts = Facts(model.parameter_space, model.output_names, model.time)
+    except FmuProcessEnded as ended:
+        _end_like(ended)
     except Exception as error:
         connection.send(refusal(error))
         return
@@ -279,6 +281,8 @@ def _simulate(
             rows.y[i], reason = answer.y[0], answer.failures[0]
         except NeedsFreshProcess:
             return End.LEAVES
+        except FmuProcessEnded as ended:
+            _end_like(ended)
         except Exception as error:
             is_broken, said = True, " ".join(str(error).split())
             reason = "out of memory" if isinstance(error, MemoryError) else f"{type(error).__name__}: {said}"
@@ -290,6 +294,13 @@ def _simulate(
         if is_broken:
             return End.LEAVES
     return End.DONE
+
+
+def _end_like(ended: FmuProcessEnded) -> NoReturn:
+    """End this process as the FMU's own process has ended; who supervises it says so and tries again."""
+    if ended.exit_code == -signal.SIGKILL:
+        os.kill(os.getpid(), signal.SIGKILL)
+    os._exit(ended.exit_code % 256 or 1)
 
 
 ROOM = "simulation"

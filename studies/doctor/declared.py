@@ -143,6 +143,7 @@ def _fmu(case: Case) -> Finding:
     fmu, interface = case.fmu, case.fmu.interfaces[case.interface]
     said = f"FMI {fmu.fmi_version} {case.interface} by {fmu.generation_tool or 'an unnamed tool'}"
     said += ", one instance per process" * interface.can_be_instantiated_only_once_per_process
+    said += ", a binary for Windows that runs in Wine" * interface.is_for_windows
     if interface.needs_execution_tool and PYTHON in fmu.generation_tool.lower():
         # There is no tool, and no licence, to be had.
         return finding("fmu", "ok", said=f"{said}, runs in Python with the packages that it imports")

@@ -11,6 +11,17 @@
 #include <string.h>
 #include <unistd.h>
 
+/* Of a file URI what stands before the path; and what separates folders. */
+#ifdef _WIN32
+#include <io.h>
+/* windows.h has names of this file. */
+__declspec(dllimport) int __stdcall MultiByteToWideChar(unsigned, unsigned long, const char *, int, wchar_t *, int);
+enum { UTF_8 = 65001 };
+enum { BEFORE_PATH = 8, SEPARATOR = '\\' };
+#else
+enum { BEFORE_PATH = 7, SEPARATOR = '/' };
+#endif
+
 #define HONEST 0
 #define KEEPS_STATE 1   /* reset says OK and x goes on from where it was */
 #define KEEPS_FIRST 2   /* reset says OK and k stays what it was at the first initialization */
@@ -67,14 +78,20 @@ static int is_wrong_folder(const char *resources)
     char path[4096];
     size_t n = 0;
     if (FMI == 2 && strncmp(resources, "file:///", 8)) return 1;
-    for (const char *c = resources + (FMI == 2 ? 7 : 0); *c && n < sizeof(path) - 1; c++) {
+    for (const char *c = resources + (FMI == 2 ? BEFORE_PATH : 0); *c && n < sizeof(path) - 1; c++) {
         unsigned byte = (unsigned char)*c;
         if (FMI == 2 && (byte <= ' ' || byte > '~')) return 1;
         if (FMI == 2 && byte == '%' && sscanf(c + 1, "%2x", &byte) == 1) c += 2;
         path[n++] = (char)byte;
     }
     path[n] = '\0';
+    if (n && path[n - 1] == SEPARATOR) path[n - 1] = '\0';
+#ifdef _WIN32
+    wchar_t wide[4096]; /* the standard's texts are UTF-8, those of Windows' C library are not */
+    return !MultiByteToWideChar(UTF_8, 0, path, -1, wide, 4096) || _waccess(wide, R_OK);
+#else
     return access(path, R_OK);
+#endif
 }
 static int finish(int status)
 {
@@ -191,7 +208,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
 {
     (void)name; (void)visible; (void)logging; (void)r; (void)update;
     const size_t length = strlen(resources);
-    if (strcmp(token, "kinds-1") || events || early || n || length == 0 || resources[length - 1] != '/'
+    if (strcmp(token, "kinds-1") || events || early || n || length == 0 || resources[length - 1] != SEPARATOR
         || is_wrong_folder(resources)) {
         log(e, fmi3Error, "logStatusError", "instantiated in a wrong way");
         return NULL;

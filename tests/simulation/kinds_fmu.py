@@ -3,22 +3,32 @@
 from pathlib import Path
 
 import numpy as np
-from c_fmu_for_tests import write_fmu
+import pytest
+from c_fmu_for_tests import WINDOWS, write_fmu
 
 from simulation import Parameter, ParameterSpace
 from simulation.fmi.fmu import FmuSettings
 from simulation.scenario import Scenario
 
 SOURCE = Path(__file__).with_name("kinds.c")
+KINDS = [
+    pytest.param({"fmi": fmi, "windows": windows}, id=f"FMI {fmi}.0{' for Windows' * windows}")
+    for windows in (False, True)
+    for fmi in (2, 3)
+]
+"""What build_kinds_fmu is given, for tests that hold for each of them."""
 
 
-def build_kinds_fmu(folder: Path, *, fmi: int, again: str = "HONEST", once: bool = False) -> Path:
+def build_kinds_fmu(
+    folder: Path, *, fmi: int, again: str = "HONEST", once: bool = False, windows: bool = False
+) -> Path:
     """Pack it; skips the test where there is no C compiler.
 
-    ``again`` is one of the names in kinds.c; ``once`` is what the FMU says of itself.
+    ``again`` is one of the names in kinds.c; ``once`` is what the FMU says of itself; ``windows`` whether it
+    has a binary for Windows alone.
     """
     description = SOURCE.with_name(f"kinds{fmi}.xml").read_text().format(once=str(once).lower())
-    platform = "linux64" if fmi == 2 else "x86_64-linux"
+    platform = WINDOWS[fmi - 2] if windows else "linux64" if fmi == 2 else "x86_64-linux"
     # gcc cannot know that a text cut at 63 characters still ends within its 64.
     flags = ["-Wall", "-Wextra", "-Werror", "-Wno-stringop-truncation", f"-DFMI={fmi}", f"-DAGAIN={again}"]
     return write_fmu(folder / f"kinds{fmi}.fmu", description, SOURCE, *flags, platform=platform)

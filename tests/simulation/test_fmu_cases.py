@@ -13,9 +13,9 @@ CASE = Path(__file__).with_name("kinds.toml").read_text()
 ROWS_PER_H = np.array([[0.36], [1.44], [0.36]])
 
 
-@pytest.fixture(scope="module", params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
+@pytest.fixture(scope="module", params=kinds_fmu.KINDS)
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param)
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), **request.param)
 
 
 def write_case(folder: Path, fmu: Path, *, output: str = "y") -> Path:

@@ -13,9 +13,9 @@ FIXED = {"n": 3, "b": True, "c": "high", "s": "four"}
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
 
 
-@pytest.fixture(scope="module", params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
+@pytest.fixture(scope="module", params=kinds_fmu.KINDS)
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param)
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), **request.param)
 
 
 def test_folders_may_have_any_name(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -13,6 +13,8 @@ from simulation import InputError
 from simulation.errors import MachineError
 from simulation.fmi.unpack import unpacked
 
+BINARY = "binaries/linux64/some.so"
+
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -48,7 +50,7 @@ def _link(name: str) -> zipfile.ZipInfo:
 
 
 def test_what_running_needs_is_unpacked_and_gone_after_removal(fmu: Path, folder: Path):
-    scratch = unpacked(fmu)
+    scratch = unpacked(fmu, BINARY)
     held = {str(path.relative_to(scratch.folder)) for path in scratch.folder.rglob("*") if path.is_file()}
     assert {"modelDescription.xml", "resources/table.txt", "resources/program"} <= held
     assert not any(name.startswith(("documentation", "binaries/win64")) for name in held)
@@ -64,7 +66,7 @@ def test_a_member_that_points_outside_is_refused(fmu: Path, folder: Path, name: 
     with zipfile.ZipFile(fmu, "a") as archive:
         archive.writestr(name, "no")
     with pytest.raises(InputError, match="points outside; do not trust this FMU"):
-        unpacked(fmu)
+        unpacked(fmu, BINARY)
     assert not list(folder.iterdir())
     assert not list(folder.parent.parent.glob("**/escaped.txt"))
 
@@ -74,7 +76,7 @@ def test_a_link_is_refused_where_it_would_be_used(fmu: Path, folder: Path, name:
     with zipfile.ZipFile(fmu, "a") as archive:
         archive.writestr(_link(name), "/etc/passwd")
     with pytest.raises(InputError, match="which is a link; pack the file itself"):
-        unpacked(fmu)
+        unpacked(fmu, BINARY)
     assert not list(folder.iterdir())
 
 
@@ -100,7 +102,7 @@ def test_a_member_that_lies_is_a_fault_of_the_archive(
 ):
     fmu.write_bytes(_lying(fmu.read_bytes(), "resources/table.txt", change))
     with pytest.raises(InputError, match=r"cannot be unpacked .*; export it again") as caught:
-        unpacked(fmu)
+        unpacked(fmu, BINARY)
     assert not isinstance(caught.value, MachineError)
     assert not list(folder.iterdir())
 
@@ -122,6 +124,6 @@ def test_names_that_no_folder_has_together_are_a_fault_of_the_archive(
         for name in names:
             archive.writestr(name, "x")
     with pytest.raises(InputError, match=r"cannot be unpacked .*; export it again") as caught:
-        unpacked(fmu)
+        unpacked(fmu, BINARY)
     assert not isinstance(caught.value, MachineError)
     assert not list(folder.iterdir())

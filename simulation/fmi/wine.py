@@ -1,0 +1,214 @@
+"""Wine, which runs programs for Windows: where it is, its folder, and a worker with a server of its own."""
+
+import contextlib
+import logging
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
+from functools import cache
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+from simulation.errors import MachineError
+from simulation.file_lock import FileLock
+
+WORKER = Path(__file__).parents[1] / "worker" / "fmu_worker-x86_64-windows.exe"
+"""The program that runs one FMU, built of fmu_worker.c beside it."""
+INSTALL = "install Wine (Debian, Ubuntu: apt install wine64)"
+_LOG = logging.getLogger(__name__)
+_DEBIANS = Path("/usr/lib/wine")  # where the package wine64 puts its programs, without a command
+_REGISTRY = ("system.reg", "user.reg", "userdef.reg", ".update-timestamp")
+_MADE = "made-by-studies"
+_MAKING_S = 600.0
+_ENDING_S = 2.0
+
+
+@cache
+def wine_program() -> Path | None:
+    """Find Wine; None where it is not installed."""
+    return _found("wine64", "wine")
+
+
+def _found(*names: str) -> Path | None:
+    for name in names:
+        found = shutil.which(name) or shutil.which(name, path=str(_DEBIANS))
+        if found:
+            return Path(found)
+    return None
+
+
+def wine_folder() -> Path:
+    """Return the folder of Wine's files: that of WINEPREFIX, else one in the user's cache."""
+    if named := os.environ.get("WINEPREFIX"):
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "studies" / "wine"
+
+
+class WineWorker:
+    """The program that runs an FMU for Windows, asked by messages over pipes.
+
+    Its server of Wine is its own, in a folder that borrows the files of `wine_folder`: what an FMU does to
+    Wine reaches no other worker, and all that Wine starts ends with it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Start it.
+
+        Args:
+            folder: Its working folder, where the FMU is unpacked.
+
+        Raises:
+            MachineError: If there is no Wine, or it does not start.
+        """
+        program, server = wine_program(), _found("wineserver64", "wineserver")
+        if program is None or server is None:
+            raise MachineError(f"Wine is not installed; {INSTALL}")
+        make_wine_folder(_LOG.warning)
+        self._server = server
+        try:
+            self._environment = _environment(_borrowed(wine_folder(), folder / "wine"))
+            # It comes back when the server is ready, and this one when the server has ended.
+            subprocess.run([server], check=True, **self._surroundings)
+            self._watch = subprocess.Popen([server, "-w"], **self._surroundings)
+            self._process = subprocess.Popen(
+                [program, WORKER],
+                bufsize=0,
+                stdout=subprocess.PIPE,
+                cwd=folder,
+                **self._surroundings | {"stdin": subprocess.PIPE},
+            )
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise MachineError(
+                f"Wine ({program}) does not start ({error}); remove {wine_folder()} or install it again"
+            ) from None
+
+    @property
+    def _surroundings(self) -> dict[str, Any]:
+        # Ctrl-C reaches only the process that decides what it means.
+        return {"env": self._environment, "stdin": subprocess.DEVNULL, "start_new_session": True}
+
+    def send(self, content: bytes) -> None:
+        """Send it something.
+
+        Raises:
+            OSError: If it has ended.
+        """
+        assert self._process.stdin is not None
+        pipe = self._process.stdin.fileno()
+        while content:
+            content = content[os.write(pipe, content) :]
+
+    def read(self, n: int) -> bytes:
+        """Read what it sends; fewer bytes where it has ended, or its server has.
+
+        Args:
+            n: How many bytes.
+        """
+        assert self._process.stdout is not None
+        pipe, parts = self._process.stdout.fileno(), list[bytes]()
+        server = os.pidfd_open(self._watch.pid)
+        try:
+            # Without its server a process of Wine waits for ever.
+            while n and pipe in wait([pipe, server]):
+                part = os.read(pipe, n)
+                if not part:
+                    break
+                parts.append(part)
+                n -= len(part)
+        finally:
+            os.close(server)
+        return b"".join(parts)
+
+    def exit_code(self) -> int:
+        """Return what it has ended with, or minus the signal that killed it or its server."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self._process.wait(_ENDING_S)
+        return -signal.SIGKILL
+
+    def close(self, last_message: bytes = b"") -> None:
+        """End it with all that Wine started for it; closing twice does no harm.
+
+        Args:
+            last_message: After which it ends by itself.
+        """
+        if self._process.poll() is None and last_message:
+            with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+                self.send(last_message)
+                self._process.wait(_ENDING_S)
+        if self._watch.poll() is None:
+            subprocess.run([self._server, "-k"], check=False, **self._surroundings)
+        for process in (self._process, self._watch):
+            process.kill()
+            process.communicate()
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Return the environment of a process of Wine: silent, without windows, menus and debugger."""
+    without = "mscoree=;mshtml=;winemenubuilder.exe=;winedbg.exe="
+    changed = {
+        "WINEPREFIX": str(folder),
+        "WINEDEBUG": "-all",
+        "WINEDLLOVERRIDES": without,
+        "WINEARCH": "win64",
+    }
+    # What the server keeps in the temporary folder goes with it.
+    changed["TMPDIR"] = str(folder)
+    return {name: value for name, value in os.environ.items() if name != "DISPLAY"} | changed
+
+
+def _borrowed(lender: Path, folder: Path) -> Path:
+    """Make a folder of Wine with a registry of its own and the files of another one."""
+    drives = folder / "dosdevices"
+    drives.mkdir(parents=True)
+    (folder / "drive_c").symlink_to(lender / "drive_c")
+    (drives / "c:").symlink_to("../drive_c")
+    (drives / "z:").symlink_to("/")
+    for name in _REGISTRY:
+        shutil.copyfile(lender / name, folder / name)
+    return folder
+
+
+def make_wine_folder(on_warning: Callable[[str], None]) -> None:
+    """Make Wine's folder where it is not there; a user's own is left as it is.
+
+    Args:
+        on_warning: Called with one line before it is made.
+
+    Raises:
+        MachineError: If it cannot be made.
+    """
+    folder, program = wine_folder(), wine_program()
+    made = folder / _MADE
+    if program is None or os.environ.get("WINEPREFIX") or made.exists():
+        return
+    lock = FileLock(folder.with_name(f"{folder.name}.lock"))
+    try:
+        lock.acquire()
+        if not made.exists():
+            on_warning(f"Wine needs a folder of 700 MB, which is made once, in some 20 s: {folder}")
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            _run([program, "wineboot", "-i"], folder)
+            _run([_found("wineserver64", "wineserver") or program, "-w"], folder)
+            made.touch()
+    except (OSError, subprocess.SubprocessError) as error:
+        raise MachineError(f"Wine cannot make its folder {folder} ({error}); make room there") from None
+    finally:
+        if lock.is_held:
+            lock.release()
+
+
+def _run(command: Sequence[str | Path], folder: Path) -> None:
+    subprocess.run(
+        command,
+        env=_environment(folder),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        timeout=_MAKING_S,
+        start_new_session=True,
+        check=True,
+    )
