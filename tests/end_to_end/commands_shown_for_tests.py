@@ -9,6 +9,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 WHY_NOT = {
     r"\bpip install|^source ": "needs the network; .ci/run and tests/package install the package",
     r"^(export|B=|F=|mkdir|watch )": "belongs to the shell, or shows again and again what is run",
+    r"^sudo ": "needs an administrator; .ci/run installs the package",
     r"^sbatch|--dask": "needs a cluster; tests/simulation run a local one of Dask",
     r"^studies ui|^optuna-dashboard": "serves until it is stopped; tests/browser opens both",
     r"mlflow models serve|^curl ": "serves until it is stopped; tests/tuning load the model as it does",

@@ -27,7 +27,7 @@ from simulation.fmi.variable import FmuInterface
 ROOT = Path(__file__).parents[2]
 SOURCE = Path(__file__).with_name("decay.c")
 STEP_ERROR, STEP_FATAL, NAN_OUTPUT, CRASH, BAD_ADDRESS = 1.0, 3.0, 4.0, 6.0, 7.0
-N_KILLS = int(os.environ.get("N_KILLS", "6"))
+N_KILLS = int(os.environ.get("N_KILLS", "3"))
 FEW = (0, 700, 1499)
 WHICH = (wine.WORKER.name, "wineserver", "python")
 
