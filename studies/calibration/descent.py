@@ -1,5 +1,6 @@
 """Walks downhill from several points of the unit cube at once, for residuals that cost next to nothing."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -91,6 +92,8 @@ def descend_together(
             # Where points beside cannot be solved, the walk ends.
             is_open[stale] = np.isfinite(jacobian[stale]).all(axis=(1, 2))
             walks = np.flatnonzero(is_open)
+            if not walks.size:
+                break
         trial = u[walks].copy()
         for row, one in enumerate(walks):
             trial[row] = _step(u[one], here[one], jacobian[one], damping[one], prior)
@@ -123,7 +126,13 @@ class Descents:
         self._ends = np.empty((0, n_parameters))
 
     def lowest(
-        self, residuals: Residuals, looks: FloatArray, rows: FloatArray, walked: Residuals | None = None
+        self,
+        residuals: Residuals,
+        looks: FloatArray,
+        rows: FloatArray,
+        walked: Residuals | None = None,
+        *,
+        share: float = 1.0,
     ) -> tuple[FloatArray, FloatArray]:
         """Walk downhill from the best rows, where the last walks ended, and from the best looks.
 
@@ -132,13 +141,17 @@ class Descents:
             looks: Points that are compared. Shape (k, p). [1]
             rows: Rows so far, the best first. Shape (n, p). [1]
             walked: What is walked on in its place, None for the function itself.
+            share: How many of the usual looks and walks there are, where each takes long; at least one walk
+                of each kind. [1]
 
         Returns:
             Where the walks end, the lowest first, shape (w, p), and the objectives there, shape (w,). [unit
             squared]
         """
-        best = np.argsort(objectives(self._prior, looks, residuals(looks)), kind="stable")[: self._n_random]
-        starts = np.concatenate([rows[:N_BEST_ROWS], self._ends, looks[best]])
+        looks = looks[: math.ceil(share * len(looks))]
+        n_rows, n_ends, n_random = (math.ceil(share * n) for n in (N_BEST_ROWS, N_LAST_ENDS, self._n_random))
+        best = np.argsort(objectives(self._prior, looks, residuals(looks)), kind="stable")[:n_random]
+        starts = np.concatenate([rows[:n_rows], self._ends[:n_ends], looks[best]])
         ends, values = descend_together(walked or residuals, self._prior, starts)
         order = np.argsort(values, kind="stable")
         # One more row moves the optimum little: the next walks begin where these have ended.
