@@ -42,7 +42,7 @@ SAME = (
     "csv excel spreadsheet workbook xlsx",
     "disk storage gigabytes",
     "tunnel remote ssh",
-    "telemetry privacy confidential",
+    "telemetry privacy confidential upload",
     "licence license",
     "gpu cuda graphics",
     "begin start quickstart",
