@@ -2,7 +2,7 @@
 
 Types the questions of `data/benchmarks/site_search.json` into the search of the built site in Chromium;
 without --site it builds the site. Prints a table: question, first hit, and whether that section answers it.
-Questions that are held out were written down before the search was changed, and looked at after it.
+Questions marked as held out were not looked at while the search was changed (docs/notes/program.md).
 Needs the extra `docs`, playwright and Chromium.
 """
 
