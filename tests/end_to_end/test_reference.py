@@ -1,6 +1,7 @@
 """The reference is what the code says, and the site builds without a warning."""
 
 import importlib.util
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -45,3 +46,12 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
+    (program,) = tmp_path.glob("site/assets/javascripts/workers/search.*.min.js")
+    assert program.read_text("utf-8").startswith((ROOT / "docs" / "search_words.js").read_text("utf-8"))
+    index = json.loads((tmp_path / "site" / "search" / "search_index.json").read_text("utf-8"))
+    sections = {entry["location"]: entry for entry in index["docs"]}
+    assert "freeze" in sections["questions.html#my-fmu-crashes-or-hangs"]["words"]
+    assert "glossary" in sections["glossary.html#trial"]["words"]
+    # The benchmark of the search names sections that exist.
+    asked = json.loads((ROOT / "data" / "benchmarks" / "site_search.json").read_text("utf-8"))
+    assert not {answer.removesuffix("*") for one in asked for answer in one["answers"]} - sections.keys()

@@ -3,6 +3,7 @@
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mlflow_store_for_tests import give_store
@@ -93,3 +94,20 @@ def test_an_fmu_of_ones_own_is_calibrated_as_shown(project: Path, capsys: pytest
     assert "changes QRoom by 0.474 W at most, 0.24 times" in " ".join(type_in("check").split())
     compare(texts[2], type_in("calibrate"))
     compare(texts[3], type_in("uncertainty"))
+
+
+def test_machine_learners_are_led_to_names_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    page = TUTORIALS / "machine-learning.md"
+    named = re.findall(r"((?:`\w+(?:\.\w+)?`(?:, | and )?)+) in `([\w/]+\.py)`", page.read_text("utf-8"))
+    assert len(named) > 20
+    for names, file in named:
+        code = (ROOT / file).read_text("utf-8")
+        for name in re.findall(r"\w+", names.replace(" and ", " ")):
+            assert re.search(rf"^\s*(?:def |class )?{name}\b", code, re.MULTILINE), f"{name} in {file}"
+    for file in re.findall(r"`([\w/]+\.py)`", page.read_text("utf-8")):
+        assert (ROOT / file).is_file(), file
+    (example,) = blocks(page, "python")
+    names_made: dict[str, Any] = {}
+    exec(example, names_made)
+    assert names_made["error"] < 0.15  # of values from 0.05 to 2
+    assert "best epoch" in capsys.readouterr().out
