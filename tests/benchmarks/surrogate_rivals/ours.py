@@ -17,5 +17,6 @@ def variant(data: Data, seed: int, *, name: str) -> Fitted:
         seed=seed,
         log_columns=data.space.is_log,
         output_scales=data.output_scales,
+        drive=data.drive,
     ).surrogate
     return Fitted(surrogate.predict, clock.s)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pelsvae.linear_network.drive import Drive
 from simulation import Case, ParameterSpace, load_case, uniform_design
 from simulation.arrays import FloatArray
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
+from studies.calibration.hidden_network.inputs import drive_of
 from studies.stages.simulate_stage import TEST_SEED, VALIDATION_SEED, train_seed
 
 ROOT = Path(__file__).parents[3]
@@ -50,6 +52,7 @@ class Data:
         y: Training trajectories. Shape (n, t, k). [output's unit]
         validation: Parameters and trajectories for choices. Shapes (m, p), (m, t, k).
         output_scales: What makes errors of the outputs comparable. Shape (k,).
+        drive: The model's inputs, for what knows them; None where there are none.
     """
 
     space: ParameterSpace
@@ -57,6 +60,7 @@ class Data:
     y: FloatArray
     validation: tuple[FloatArray, FloatArray]
     output_scales: FloatArray
+    drive: Drive | None = None
 
     def first(self, n: int) -> "Data":
         """Return the same with only the first n training rows."""
@@ -102,6 +106,7 @@ def simulated(problem: Problem, seed: int, n: int, folder: Path) -> Sets:
             y=y,
             validation=ask(VALIDATION_SEED, N_VALIDATION),
             output_scales=case.measurement.error_scales,
+            drive=drive_of(case),
         )
         unit = case.outputs[0].unit.replace("degC", "K")
         return Sets(unit=unit, learnt=learnt, test=ask(TEST_SEED, N_TEST))
