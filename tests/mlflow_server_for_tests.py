@@ -16,7 +16,7 @@ from threading import Thread
 
 from mlflow_store_for_tests import give_store
 
-PATIENCE_S = 120.0
+PATIENCE_S = 600.0
 NAME, PASSWORD = "admin", "a word of 12 letters"
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psycopg
 
-PATIENCE_S = 60.0
+PATIENCE_S = 600.0
 _SETTINGS = """\
 listen_addresses = '127.0.0.1'
 fsync = off

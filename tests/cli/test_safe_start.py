@@ -58,7 +58,7 @@ def test_no_server_imports_from_the_working_folder_or_outlives_its_command(
     assert any("http" in line for line in said), said
     assert not (hostile / "caught").exists()
     assert started
-    _, left = psutil.wait_procs(started, timeout=30.0)
+    _, left = psutil.wait_procs(started, timeout=100.0)
     assert not left, "the server ends with the command, also where that is killed"
 
 

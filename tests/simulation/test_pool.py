@@ -179,7 +179,7 @@ def test_a_forgotten_model_leaves_no_process():
     model.simulate(rows_of(20))
     (server,) = set(psutil.Process().children()) - before
     del model
-    _, alive = psutil.wait_procs(server.children(recursive=True), timeout=5)
+    _, alive = psutil.wait_procs(server.children(recursive=True), timeout=100)
     assert not alive
     # It waits for the next model, and is all that does.
     with PoolModel(SlowToy().open, 2) as model:
@@ -204,7 +204,7 @@ assert not model.simulate(model.parameter_space.from_unit([[0.5, 0.5]])).failed.
 def test_a_script_that_closes_nothing_ends_at_once():
     places = [str(Path(__file__).parent), str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
     command = [sys.executable, "-W", "error::RuntimeWarning", "-c", LEFT_OPEN.format(places=places)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 

@@ -41,7 +41,7 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
         for process in set(psutil.Process().children(recursive=True)) - before
         if "resource_tracker" not in " ".join(process.cmdline())
     ]
-    assert not psutil.wait_procs(left, timeout=5)[1]
+    assert not psutil.wait_procs(left, timeout=100)[1]
 
 
 def test_the_same_bits_and_exactly_the_bad_rows_fail(executor: Executor):
@@ -94,7 +94,7 @@ def test_a_worker_of_a_cluster_killed_half_way_costs_nothing(cluster: Any):
     assert np.array_equal(answers, ToyRC().simulate(rows).y)
     # What simulated for it went with it.
     assert children
-    assert not psutil.wait_procs(children, timeout=5)[1]
+    assert not psutil.wait_procs(children, timeout=100)[1]
 
 
 def test_the_fmu_travels_by_its_content(cluster: Any, decay_case: Path):

@@ -21,7 +21,7 @@ from simulation.store.reuse_check import N_REPEATED
 from simulation.store.store import SimulationStore
 
 HERE = Path(__file__).parent
-PATIENCE_S = 60.0
+PATIENCE_S = 600.0
 N_ROWS, N_WORKERS = 375, 2
 # Few enough that no row is lost with its process so often that it fails.
 KILLS = ("master", "worker") * 3
