@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any
 
 from simulation.errors import InputError
@@ -113,7 +114,7 @@ class Project:
     studies: Sequence[TunedStudy]
     calibrations: Sequence[FinishedCalibration]
 
-    @property
+    @cached_property
     def sizes(self) -> list[TunedSize]:
         """What each size was tuned to; studies of other data stand apart."""
         found = joined_studies(self.studies)

@@ -65,6 +65,7 @@ def read_studies(
         return []
     found = []
     with storage_of(paths) as storage, _readable(paths):
+        storage.scoped_session().expire_on_commit = False  # each row is read once
         for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
             declared = study.user_attrs.get(attempts.DECLARATION)
             # The label first: to read a study means to read all its trials.
