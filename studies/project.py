@@ -15,7 +15,6 @@ from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
 from studies.results.declaration import ALIAS
 from studies.results.outcome import Outcome, read_outcome
-from studies.results.provenance import file_digest
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, TunedSize
 from studies.results.trials import TunedStudy
@@ -87,6 +86,8 @@ def changed_files(paths: ProjectPaths, provenance: Mapping[str, Any]) -> list[st
         paths: the project.
         provenance: what made a result, as it was recorded.
     """
+    from studies.results.provenance import file_digest
+
     files, changed = provenance.get("files"), []
     places = files if isinstance(files, dict) else {}
     # Data of a case whose folder the project has are never those of an embedded case.
