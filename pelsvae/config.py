@@ -1,6 +1,5 @@
 """Every choice about the network and its training in one frozen record; imports nothing heavy."""
 
-import dataclasses
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -98,8 +97,8 @@ class SurrogateConfig:
         Raises:
             ValueError: A setting has the wrong type or lies outside its range.
         """
-        for name, hint in _hints().items():
-            _check_type(name, getattr(self, name), hint)
+        for name, allowed in _allowed().items():
+            _check_type(name, getattr(self, name), allowed)
         for name in (
             "n_latent", "n_hidden", "n_latent_samples", "n_prediction_samples",
             "batch_size", "max_epochs", "patience", "validate_every", "n_scales", "n_members", "n_stores",
@@ -137,7 +136,7 @@ class SurrogateConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain values that JSON can hold."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: getattr(self, name) for name in _allowed()}
 
     @staticmethod
     def from_dict(settings: Mapping[str, Any]) -> "SurrogateConfig":
@@ -152,7 +151,7 @@ class SurrogateConfig:
         Raises:
             ValueError: A name is unknown or a value impossible.
         """
-        known = {field.name for field in dataclasses.fields(SurrogateConfig)}
+        known = _allowed().keys()
         unknown = sorted(set(settings) - known)
         if unknown:
             raise ValueError(f"unknown surrogate settings {unknown}; known are {sorted(known)}")
@@ -160,21 +159,16 @@ class SurrogateConfig:
 
 
 @functools.cache
-def _hints() -> dict[str, object]:
-    return get_type_hints(SurrogateConfig)
-
-
-@functools.cache
-def _allowed(hint: object) -> tuple[object, ...]:
-    """Return the words, or else the types, that an annotation allows."""
-    allowed = get_args(hint) or (hint,)
+def _allowed() -> dict[str, tuple[object, ...]]:
+    """Return the words, or else the types, that the annotation of each setting allows."""
+    hints = get_type_hints(SurrogateConfig)
+    allowed = {name: get_args(hint) or (hint,) for name, hint in hints.items()}
     # A profile writes 1 for 1.0.
-    return (*allowed, int) if float in allowed else allowed
+    return {name: (*one, int) if float in one else one for name, one in allowed.items()}
 
 
-def _check_type(name: str, value: object, hint: object) -> None:
-    """Raise ValueError where a value is not what its annotation says (an int passes for a float)."""
-    allowed = _allowed(hint)
+def _check_type(name: str, value: object, allowed: tuple[object, ...]) -> None:
+    """Raise ValueError where a value is none that is allowed."""
     if not isinstance(allowed[0], type):
         if value not in allowed:
             raise ValueError(f"{name} = {value!r} must be one of {[*allowed]}")

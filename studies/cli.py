@@ -5,6 +5,7 @@ Neither this module nor those in `studies.commands` import anything heavy at the
 
 import argparse
 import errno
+import gc
 import importlib
 import io
 import os
@@ -77,6 +78,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             from studies.command_folder import give_temporary_folder
 
             give_temporary_folder()
+            if chosen.command in ("status", "best"):
+                gc.disable()  # they read, show and end: what they read stays
         with working():
             return int(command_module(chosen.command).run(chosen, console))
     except SystemExit as done:  # help, version

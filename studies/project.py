@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any
 
 from simulation.errors import InputError
@@ -14,7 +15,6 @@ from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
 from studies.results.declaration import ALIAS
 from studies.results.outcome import Outcome, read_outcome
-from studies.results.provenance import file_digest
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, TunedSize
 from studies.results.trials import TunedStudy
@@ -86,6 +86,8 @@ def changed_files(paths: ProjectPaths, provenance: Mapping[str, Any]) -> list[st
         paths: the project.
         provenance: what made a result, as it was recorded.
     """
+    from studies.results.provenance import file_digest
+
     files, changed = provenance.get("files"), []
     places = files if isinstance(files, dict) else {}
     # Data of a case whose folder the project has are never those of an embedded case.
@@ -113,7 +115,7 @@ class Project:
     studies: Sequence[TunedStudy]
     calibrations: Sequence[FinishedCalibration]
 
-    @property
+    @cached_property
     def sizes(self) -> list[TunedSize]:
         """What each size was tuned to; studies of other data stand apart."""
         found = joined_studies(self.studies)

@@ -7,7 +7,6 @@ import numpy as np
 
 from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
-from studies.calibration.sobol import SobolIndices, mean_over_time
 from studies.results.best_mean import shortened_model
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
@@ -30,6 +29,7 @@ from studies.words.wording import (
 
 if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
     from simulation.case import Case
+    from studies.calibration.sobol import SobolIndices
 
 FAR = 2.0
 """So many standard deviations from what was known, the data contradict it."""
@@ -107,8 +107,10 @@ def importances_table(importances: Mapping[int, Mapping[str, float]]) -> Table:
     return Table("Importance of each hyperparameter by PED-ANOVA, complete and pruned trials", columns, rows)
 
 
-def sensitivity_table(found: SobolIndices) -> Table:
+def sensitivity_table(found: "SobolIndices") -> Table:
     """Tabulate Sobol indices averaged over time."""
+    from studies.calibration.sobol import mean_over_time
+
     titles = ("first order", "±", "total order", "±")
     columns = (Column("output"), Column("parameter"), *(number(title) for title in titles))
     indices = (found.first_order, found.first_order_ci, found.total_order, found.total_order_ci)
@@ -121,7 +123,7 @@ def sensitivity_table(found: SobolIndices) -> Table:
     return Table(f"Sobol indices, averaged over time, from {asked_of(found)}", columns, rows)
 
 
-def asked_of(found: SobolIndices) -> str:
+def asked_of(found: "SobolIndices") -> str:
     """Say what Sobol indices are estimated from."""
     if found.n_train is None:
         return f"{count(found.n_calls, 'simulation')} of the FMU"

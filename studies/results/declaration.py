@@ -116,7 +116,7 @@ class Declaration:
         }
         return digest_of(json.dumps(decisive, sort_keys=True))
 
-    @property
+    @cached_property
     def name(self) -> str:
         """Name of the Optuna study, for example `office-quick/n0064/1a2b3c4d`."""
         kind = "-pca-gp" if self.is_baseline else "-confirm" if self.is_confirmation else ""

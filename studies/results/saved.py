@@ -15,7 +15,6 @@ from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from simulation.errors import InputError
 from simulation.record_file import REMEDY
 from simulation.whole_file import whole_file
-from studies.profile import in_one_line
 
 Arrays = dict[str, NDArray[Any]]
 WITH_ARRAYS = ConfigDict(arbitrary_types_allowed=True)
@@ -58,6 +57,8 @@ def rebuilt(
     try:
         result: T = _reader(kind).validate_python(whole)
     except ValidationError as error:
+        from studies.profile import in_one_line
+
         raise InputError(f"{owner}: {in_one_line(error)}; use the version that wrote it") from None
     return result
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import optuna
 import psutil
@@ -21,6 +21,9 @@ from pelsvae.config import SurrogateConfig
 from simulation.errors import InputError
 from studies.results.declaration import Declaration
 from studies.results.saved import rebuilt
+
+if TYPE_CHECKING:
+    from optuna.study._frozen import FrozenStudy
 
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
@@ -158,7 +161,7 @@ def is_owned(trial: FrozenTrial) -> bool:
     return isinstance(owner, dict) and owner.get("trial") == trial.number
 
 
-def declaration_of(study: optuna.Study) -> Declaration:
+def declaration_of(study: "optuna.Study | FrozenStudy") -> Declaration:
     """Return what a study was declared with.
 
     Raises:

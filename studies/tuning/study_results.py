@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
@@ -20,13 +20,17 @@ from studies.results.trials import TrialView, TunedStudy, errors_of, joined
 from studies.search_space import SearchSpace
 from studies.tuning import attempts
 from studies.tuning.storage import storage_of
+from studies.tuning.stored_trials import stored_trials
+
+if TYPE_CHECKING:
+    from optuna.study._frozen import FrozenStudy
 
 MIN_FOR_IMPORTANCE = 4
 _MOST = 1e12
 
 
-def read_study(study: optuna.Study) -> TunedStudy:
-    """Read a study.
+def read_study(study: "FrozenStudy", trials: Sequence[FrozenTrial]) -> TunedStudy:
+    """Return what a study of these trials has come to.
 
     Raises:
         InputError: it was made by another program or version.
@@ -35,12 +39,11 @@ def read_study(study: optuna.Study) -> TunedStudy:
     attrs, spec = study.user_attrs, attempts.declaration_of(study)
     json.dumps(attrs, ensure_ascii=False).encode()  # which half a character has no form in
     mean = attrs.get(attempts.MEAN)
-    places = attempts.places(study.get_trials(deepcopy=False))
     return TunedStudy(
         spec=spec,
         number=study._study_id,
         n_planned=int(_bounded(attrs.get(attempts.PLANNED, 0))),
-        trials=tuple(_view(spec, trial) for trial in places),
+        trials=tuple(_view(spec, trial) for trial in attempts.places(trials)),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
         gone=frozenset(map(str, attrs.get(attempts.GONE, ()))),
         versions=dict(attrs.get(attempts.VERSIONS) or {}),
@@ -74,7 +77,7 @@ def read_studies(
                 continue
             # Those of before have no project.
             if declared.get("project", "") in ("", paths.identity):
-                found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
+                found.append(read_study(study, stored_trials(storage, study._study_id)))
     found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.number))
     return found
 

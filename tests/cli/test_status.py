@@ -28,7 +28,10 @@ from studies_for_tests import (
 
 from simulation.record_file import read_json, write_json
 from studies.calibration.ledger import Ledger
+from studies.paths import ProjectPaths
 from studies.results.provenance import file_digest
+from studies.tuning.storage import storage_of
+from studies.tuning.stored_trials import stored_trials
 
 OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 
@@ -82,6 +85,25 @@ def test_running_and_waiting_trials_are_counted(project: Path, studies: Run) -> 
     study.enqueue_trial({"n_latent": 32})
     (found,) = studies("status", "--json").document["studies"]
     assert (found["n_running"], found["n_waiting"], found["to_go_s"]) == (1, 1, 10 * WALL_S)
+
+
+def test_trials_are_read_as_optuna_reads_them(project: Path) -> None:
+    written = write_study(project, declared("office-quick", 64), n_trials=12)
+    write_study(project, declared("office-quick", 128), n_trials=1)
+    study = optuna.load_study(study_name=written.study_name, storage=f"sqlite:///{project}/mlruns/optuna.db")
+    running = study.ask(SPACE)
+    for step, error in enumerate((0.5, float("nan"), float("inf"))):
+        running.report(error, step)
+    study.tell(study.ask(), float("-inf"))
+    running.suggest_categorical("decoder", ["layers", "state-space"])
+    study.enqueue_trial({"n_latent": 32}, user_attrs={"why": "a guess"})
+    study.ask()
+    study.enqueue_trial({"n_latent": 16})
+    with storage_of(ProjectPaths(project)) as storage:
+        for one in storage.get_all_studies():
+            theirs = storage.get_all_trials(one._study_id)
+            # Their words show every field and its order; a nan does not equal itself.
+            assert [*map(repr, stored_trials(storage, one._study_id))] == [*map(repr, theirs)]
 
 
 def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run) -> None:

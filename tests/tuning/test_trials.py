@@ -23,7 +23,7 @@ from toy_study_for_tests import (
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.results.declaration import Declaration
-from studies.tuning.study_results import read_studies, read_study
+from studies.tuning.study_results import read_studies
 from studies.tuning.tune_studies import closed_studies, tune
 from studies.tuning.worker import Worker, main
 
@@ -139,7 +139,7 @@ def test_a_diverging_trial_fails_with_its_reason_and_costs_no_other(project: Pro
     enqueue = ({**sane, "learning_rate": 1e30}, {**sane, "learning_rate": 0.005})
     spec = toy_study(16, search={**SEARCH, "learning_rate": rate}, enqueue=enqueue)
     prepared(project, spec, 3).run()
-    found = read_study(plain_study(project, spec.name))
+    (found,) = read_studies(project)
     assert [trial.state for trial in found.trials] == ["complete", "failed", "complete"]
     assert [trial.proposed_by for trial in found.trials] == ["default", "profile", "profile"]
     reason = plain_study(project, spec.name).trials[1].user_attrs["reason"]
