@@ -81,9 +81,10 @@ class WineWorker:
                 **self._surroundings | {"stdin": subprocess.PIPE},
             )
         except (OSError, subprocess.CalledProcessError) as error:
-            raise MachineError(
-                f"Wine ({program}) does not start ({error}); remove {wine_folder()} or install it again"
-            ) from None
+            remedy = f"remove {wine_folder()}, which is made anew, or install Wine again"
+            if os.environ.get("WINEPREFIX"):
+                remedy = f"WINEPREFIX={wine_folder()} has to be a folder that `wineboot` has made"
+            raise MachineError(f"Wine ({program}) does not start ({error}); {remedy}") from None
 
     @property
     def _surroundings(self) -> dict[str, Any]:
@@ -172,7 +173,7 @@ def _borrowed(lender: Path, folder: Path) -> Path:
 
 
 def make_wine_folder(on_warning: Callable[[str], None]) -> None:
-    """Make Wine's folder where it is not there; a user's own is left as it is.
+    """Make Wine's folder where it is not there, or of another Wine; a user's own is left as it is.
 
     Args:
         on_warning: Called with one line before it is made.
@@ -181,19 +182,26 @@ def make_wine_folder(on_warning: Callable[[str], None]) -> None:
         MachineError: If it cannot be made.
     """
     folder, program = wine_folder(), wine_program()
-    made = folder / _MADE
-    if program is None or os.environ.get("WINEPREFIX") or made.exists():
+    if program is None or os.environ.get("WINEPREFIX"):
+        return
+    # Wine would bring one of an older version up to date at each start of each worker.
+    made, by = folder / _MADE, f"{program} of {program.stat().st_mtime_ns}"
+
+    def is_made() -> bool:
+        return made.is_file() and made.read_text("utf-8") == by
+
+    if is_made():
         return
     lock = FileLock(folder.with_name(f"{folder.name}.lock"))
     try:
         lock.acquire()
-        if not made.exists():
+        if not is_made():
             on_warning(f"Wine needs a folder of 700 MB, which is made once, in some 20 s: {folder}")
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
             _run([program, "wineboot", "-i"], folder)
             _run([_found("wineserver64", "wineserver") or program, "-w"], folder)
-            made.touch()
+            made.write_text(by, "utf-8")
     except (OSError, subprocess.SubprocessError) as error:
         raise MachineError(f"Wine cannot make its folder {folder} ({error}); make room there") from None
     finally:

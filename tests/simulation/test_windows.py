@@ -161,6 +161,15 @@ def test_a_library_that_windows_does_not_load_is_one_line(windows_case: Path, tm
         load_case(windows_case).open_model()
 
 
+def test_a_folder_of_the_user_that_is_none_of_wine_is_one_line(
+    windows_case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("WINEPREFIX", str(tmp_path))
+    with pytest.raises(InputError, match=r"WINEPREFIX=.* has to be a folder that `wineboot` has made$"):
+        load_case(windows_case).open_model()
+    assert not list(tmp_path.glob("*.reg"))
+
+
 def test_the_program_was_built_of_its_source():
     source = wine.WORKER.with_name("fmu_worker.c")
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
