@@ -1,6 +1,6 @@
 """How long `studies status` and `studies best` take in a project with many trials; prints seconds.
 
-Both of the clock and of the processor, which tells more where other programs run.
+Both of the clock and of the processor, which says more where other programs run.
 
 python tests/benchmarks/many_trials.py [--trials 2000] [--sizes 5]
 """
