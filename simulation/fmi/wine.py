@@ -3,12 +3,12 @@
 import contextlib
 import logging
 import os
+import select
 import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from functools import cache
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ _REGISTRY = ("system.reg", "user.reg", "userdef.reg", ".update-timestamp")
 _MADE = "made-by-studies"
 _MAKING_S = 600.0
 _ENDING_S = 2.0
+_PIECE = select.PIPE_BUF  # a pipe that is ready takes so much without waiting
 
 
 @cache
@@ -95,12 +96,15 @@ class WineWorker:
         """Send it something.
 
         Raises:
-            OSError: If it has ended.
+            OSError: If it has ended, or its server has.
         """
         assert self._process.stdin is not None
         pipe = self._process.stdin.fileno()
+        os.set_blocking(pipe, False)
         while content:
-            content = content[os.write(pipe, content) :]
+            if not self._is_ready(pipe, select.POLLOUT):
+                raise BrokenPipeError
+            content = content[os.write(pipe, content[:_PIECE]) :]
 
     def read(self, n: int) -> bytes:
         """Read what it sends; fewer bytes where it has ended, or its server has.
@@ -110,18 +114,23 @@ class WineWorker:
         """
         assert self._process.stdout is not None
         pipe, parts = self._process.stdout.fileno(), list[bytes]()
-        server = os.pidfd_open(self._watch.pid)
+        while n and self._is_ready(pipe, select.POLLIN):
+            part = os.read(pipe, n)
+            if not part:
+                break
+            parts.append(part)
+            n -= len(part)
+        return b"".join(parts)
+
+    def _is_ready(self, pipe: int, event: int) -> bool:
+        """Wait for a pipe; return False where the server has ended: a process of Wine then waits for ever."""
+        server, poll = os.pidfd_open(self._watch.pid), select.poll()
         try:
-            # Without its server a process of Wine waits for ever.
-            while n and pipe in wait([pipe, server]):
-                part = os.read(pipe, n)
-                if not part:
-                    break
-                parts.append(part)
-                n -= len(part)
+            poll.register(pipe, event)
+            poll.register(server, select.POLLIN)
+            return any(one == pipe for one, _ in poll.poll())
         finally:
             os.close(server)
-        return b"".join(parts)
 
     def exit_code(self) -> int:
         """Return what it has ended with, or minus the signal that killed it or its server."""
