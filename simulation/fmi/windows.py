@@ -57,6 +57,7 @@ class WindowsFmu(Instance):
         self._names += [one.function for one in self._row.inputs]
         self._worker = WineWorker(folder)
         try:
+            self._read(_HEAD.size)  # that it has started
             answer = self._ask(
                 b"L" + self._loading(found.model_identifier, description.guid, folder, found.binary)
             )

@@ -23,7 +23,9 @@ _DEBIANS = Path("/usr/lib/wine")  # where the package wine64 puts its programs, 
 _REGISTRY = ("system.reg", "user.reg", "userdef.reg", ".update-timestamp")
 _MADE = "made-by-studies"
 _MAKING_S = 600.0
+_STARTING_S = 120.0
 _ENDING_S = 2.0
+_PING = b"\x01\x00\x00\x00P"  # its answer is read with the first one that is asked for
 _PIECE = select.PIPE_BUF  # a pipe that is ready takes so much without waiting
 
 
@@ -86,6 +88,17 @@ class WineWorker:
             if os.environ.get("WINEPREFIX"):
                 remedy = f"WINEPREFIX={wine_folder()} has to be a folder that `wineboot` has made"
             raise MachineError(f"Wine ({program}) does not start ({error}); {remedy}") from None
+        self._check_started(program)
+
+    def _check_started(self, program: Path) -> None:
+        """Wait until Wine has started, which is not the FMU's doing, and never takes long."""
+        assert self._process.stdout is not None
+        with contextlib.suppress(OSError):
+            self.send(_PING)
+            if self._is_ready(self._process.stdout.fileno(), select.POLLIN, _STARTING_S):
+                return
+        self.close()
+        raise MachineError(f"Wine ({program}) did not start within {_STARTING_S:g} s; try again")
 
     @property
     def _surroundings(self) -> dict[str, Any]:
@@ -122,13 +135,13 @@ class WineWorker:
             n -= len(part)
         return b"".join(parts)
 
-    def _is_ready(self, pipe: int, event: int) -> bool:
+    def _is_ready(self, pipe: int, event: int, limit_s: float | None = None) -> bool:
         """Wait for a pipe; return False where the server has ended: a process of Wine then waits for ever."""
         server, poll = os.pidfd_open(self._watch.pid), select.poll()
         try:
             poll.register(pipe, event)
             poll.register(server, select.POLLIN)
-            return any(one == pipe for one, _ in poll.poll())
+            return any(one == pipe for one, _ in poll.poll(limit_s and 1000 * limit_s))
         finally:
             os.close(server)
 
