@@ -124,9 +124,10 @@ def test_the_wheel_holds_three_packages_and_the_embedded_cases(wheel: Path) -> N
         "studies/reporting/page.html",
         "studies/doctor/findings.toml",
         "studies/new/case.toml.jinja",
+        "simulation/worker/fmu_worker-x86_64-windows.exe",
     } <= names
     rest = {Path(name).suffix for name in names if not name.startswith((EMBEDDED, about))}
-    assert rest == {".py", ".typed", ".toml", ".html", ".jinja", ".js"}
+    assert rest == {".py", ".typed", ".toml", ".html", ".jinja", ".js", ".exe"}
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {
         file.relative_to(REPOSITORY).as_posix()
