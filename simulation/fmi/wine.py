@@ -25,7 +25,7 @@ _MADE = "made-by-studies"
 _MAKING_S = 600.0
 _STARTING_S = 120.0
 _ENDING_S = 2.0
-_PING = b"\x01\x00\x00\x00P"  # its answer is read with the first one that is asked for
+_PING = b"\x01\x00\x00\x00P"  # who made the worker reads its answer
 _PIECE = select.PIPE_BUF  # a pipe that is ready takes so much without waiting
 
 
