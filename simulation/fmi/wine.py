@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from simulation.errors import MachineError
@@ -74,7 +75,7 @@ class WineWorker:
         try:
             self._environment = _environment(_borrowed(wine_folder(), folder / "wine"))
             # It comes back when the server is ready, and this one when the server has ended.
-            subprocess.run([server], check=True, **self._surroundings)
+            subprocess.run([server], check=True, timeout=_STARTING_S, **self._surroundings)
             self._watch = subprocess.Popen([server, "-w"], **self._surroundings)
             self._process = subprocess.Popen(
                 [program, WORKER],
@@ -83,7 +84,7 @@ class WineWorker:
                 cwd=folder,
                 **self._surroundings | {"stdin": subprocess.PIPE},
             )
-        except (OSError, subprocess.CalledProcessError) as error:
+        except (OSError, subprocess.SubprocessError) as error:
             remedy = f"remove {wine_folder()}, which is made anew, or install Wine again"
             if os.environ.get("WINEPREFIX"):
                 remedy = f"WINEPREFIX={wine_folder()} has to be a folder that `wineboot` has made"
@@ -93,12 +94,15 @@ class WineWorker:
     def _check_started(self, program: Path) -> None:
         """Wait until Wine has started, which is not the FMU's doing, and never takes long."""
         assert self._process.stdout is not None
+        began, how = monotonic(), "ended before it had started"
         with contextlib.suppress(OSError):
             self.send(_PING)
             if self._is_ready(self._process.stdout.fileno(), select.POLLIN, _STARTING_S):
                 return
+            if monotonic() - began > _STARTING_S:
+                how = f"did not start within {_STARTING_S:g} s"
         self.close()
-        raise MachineError(f"Wine ({program}) did not start within {_STARTING_S:g} s; try again")
+        raise MachineError(f"Wine ({program}) {how}; try again")
 
     @property
     def _surroundings(self) -> dict[str, Any]:
@@ -136,14 +140,20 @@ class WineWorker:
         return b"".join(parts)
 
     def _is_ready(self, pipe: int, event: int, limit_s: float | None = None) -> bool:
-        """Wait for a pipe; return False where the server has ended: a process of Wine then waits for ever."""
-        server, poll = os.pidfd_open(self._watch.pid), select.poll()
+        """Wait for a pipe; return False where the worker or its server has ended.
+
+        Without its server a process of Wine waits for ever; without the worker, other processes of Wine may
+        still have its pipes.
+        """
+        ends, poll = [os.pidfd_open(one.pid) for one in (self._process, self._watch)], select.poll()
         try:
             poll.register(pipe, event)
-            poll.register(server, select.POLLIN)
+            for end in ends:
+                poll.register(end, select.POLLIN)
             return any(one == pipe for one, _ in poll.poll(limit_s and 1000 * limit_s))
         finally:
-            os.close(server)
+            for end in ends:
+                os.close(end)
 
     def exit_code(self) -> int:
         """Return what it has ended with, or minus the signal that killed it or its server."""
@@ -161,11 +171,15 @@ class WineWorker:
             with contextlib.suppress(OSError, subprocess.TimeoutExpired):
                 self.send(last_message)
                 self._process.wait(_ENDING_S)
-        if self._watch.poll() is None:
-            subprocess.run([self._server, "-k"], check=False, **self._surroundings)
+        # Not only where it is watched still: who watches may have been killed instead.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            subprocess.run([self._server, "-k"], check=False, timeout=_STARTING_S, **self._surroundings)
         for process in (self._process, self._watch):
             process.kill()
-            process.communicate()
+            process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
 
 
 def _environment(folder: Path) -> dict[str, str]:

@@ -12,6 +12,7 @@ import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import psutil
@@ -23,11 +24,14 @@ from simulation import InputError, PoolModel, load_case
 from simulation.fmi import wine
 from simulation.fmi.fmpy_description import binary_for
 from simulation.fmi.variable import FmuInterface
+from simulation.pool.execution import ExecutionPolicy
 
 ROOT = Path(__file__).parents[2]
 SOURCE = Path(__file__).with_name("decay.c")
 STEP_ERROR, STEP_FATAL, NAN_OUTPUT, CRASH, BAD_ADDRESS = 1.0, 3.0, 4.0, 6.0, 7.0
 N_KILLS = int(os.environ.get("N_KILLS", "3"))
+ROW_S = 100.0  # a process that hangs fails its row, which says so
+PATIENCE_S = 600.0
 FEW = (0, 700, 1499)
 WHICH = (wine.WORKER.name, "wineserver", "python")
 
@@ -58,10 +62,17 @@ def of_wine() -> set[psutil.Process]:
     return found
 
 
-def workers() -> list[psutil.Process]:
-    """A process of this test's pool that asks Wine: forked by a supervisor, which the fork server forked."""
-    ours = [one for one in psutil.Process().children() if "fork_server" in " ".join(one.cmdline())]
-    return [worker for server in ours for one in server.children() for worker in one.children()][:1]
+def victims(kind: str) -> set[psutil.Process]:
+    """The processes of a kind that this test may kill; "python" is what has started a worker in Wine."""
+    found = set()
+    for process in of_wine():
+        with contextlib.suppress(psutil.Error):
+            parent = process.parent()
+            if kind == "python" and WHICH[0] in " ".join(process.cmdline()) and parent is not None:
+                found.add(parent)
+            elif kind in " ".join(process.cmdline()):
+                found.add(process)
+    return found
 
 
 def test_rows_are_those_of_linux_and_failures_say_the_same(decay_case: Path, windows_case: Path):
@@ -110,23 +121,23 @@ def test_kills_lose_no_row_and_leave_no_process(
         while len(killed) < N_KILLS and not is_over.wait(2.0):
             wanted = WHICH[len(killed) % len(WHICH)]
             with contextlib.suppress(psutil.Error):
-                for victim in of_wine() if wanted != "python" else workers():
-                    if wanted in " ".join(victim.cmdline()):
-                        victim.kill()
-                        killed.append(wanted)
-                        break
+                for victim in victims(wanted):
+                    victim.kill()
+                    killed.append(wanted)
+                    break
 
     killer = threading.Thread(target=kill, daemon=True)
-    with PoolModel(case.make_model, 2) as model:
+    until = monotonic() + PATIENCE_S
+    with PoolModel(case.make_model, 2, policy=ExecutionPolicy(timeout_s=ROW_S)) as model:
         killer.start()
         try:
-            while killer.is_alive():
+            while killer.is_alive() and monotonic() < until:
                 answer = model.simulate(rows)
                 assert set(answer.failures) == {""}
                 assert [answer.take([i]).digest for i in FEW] == expected
         finally:
             is_over.set()
-    assert len(killed) == N_KILLS
+    assert len(killed) == N_KILLS, killed
     assert not of_wine()
     assert not list(Path(tempfile.gettempdir()).iterdir())
 
