@@ -40,7 +40,7 @@ def kill_descendants(*, but: Collection[int] = ()) -> None:
         while pids := children() - set(but):
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
-            # Not one by one: the end of a process that another one traces is first told to that one.
+            # All before any is waited for: what another one of them traces is seen to end by that one first.
             for pid in pids:
                 # What it had started is a child of this process from now on.
                 os.waitpid(pid, 0)

@@ -6,13 +6,18 @@ which is made in half the time, and the pages of the documentation a PNG.
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import csv
 import io
 import json
+import os
 import resource
 import subprocess
 import sys
 import textwrap
+import threading
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle, repeat
@@ -310,22 +315,82 @@ def _position(name: str, axis: Axis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drawn(kind: str, specification: str = "") -> bytes:
+class _Drawer:
+    """A process that draws one picture after the other for this one, and may die of it."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "studies.reporting.drawing_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            # Ctrl-C reaches only the process that decides what it means.
+            start_new_session=True,
+        )
+        self.close = weakref.finalize(self, _end, self._process, os.getpid())
+
+    def answer(self, request: bytes) -> dict[str, Any] | None:
+        """Return what it answers; None where it has ended."""
+        given, answers = self._process.stdin, self._process.stdout
+        assert given is not None
+        assert answers is not None
+        with contextlib.suppress(BrokenPipeError):
+            given.write(request + b"\n")
+            given.flush()
+            if (line := answers.readline()).endswith(b"\n"):
+                answer: dict[str, Any] = json.loads(line)
+                return answer
+        return None
+
+    def how_it_ended(self) -> str:
+        """Return how it has ended, and forget it."""
+        code = self._process.wait()
+        self.close()
+        return f"signal {-code}" if code < 0 else f"exit code {code}"
+
+
+def _end(process: subprocess.Popen[bytes], owner: int) -> None:
+    """End a process that draws, unless this is a fork of the one that started it."""
+    if os.getpid() == owner:
+        process.kill()
+        process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
+
+
+_lock = threading.Lock()
+_idle: dict[int, _Drawer] = {}  # by the process that it draws for: a fork of that one has its own
+
+
+def drawn(kind: str, specification: Mapping[str, Any] | None = None) -> str:
     """Draw in a process of its own, which may die of it.
 
     Args:
         kind: "svg" or "png"; "library" for the programs that draw in a browser.
         specification: In Vega-Lite.
 
+    Returns:
+        A text; for "png" in base64.
+
     Raises:
         MachineError: The process fails.
     """
-    command = [sys.executable, "-P", "-m", "studies.reporting.drawing_process", kind, f"{PIXELS_PER_UNIT}"]
-    done = subprocess.run(command, input=specification.encode(), capture_output=True, check=False)
-    if done.returncode == 0:
-        return done.stdout
-    said = done.stderr.decode(errors="replace").strip().splitlines()
-    how = f"signal {-done.returncode}" if done.returncode < 0 else (said or ["no message"])[-1]
+    asked = {"kind": kind, "scale": PIXELS_PER_UNIT, "specification": specification}
+    request, how = json.dumps(asked).encode(), ""
+    with _lock:
+        # One that has waited for long has ended; a new one has not.
+        for next_one in (lambda: _idle.pop(os.getpid(), None), _Drawer):
+            # It is out of the table while it draws: Ctrl-C may come between a request and its answer.
+            if drawer := next_one():
+                if answer := drawer.answer(request):
+                    _idle[os.getpid()] = drawer
+                    if "drawn" in answer:
+                        return str(answer["drawn"])
+                    how = answer["error"]
+                    break
+                how = drawer.how_it_ended()
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     remedy = "" if limit == resource.RLIM_INFINITY else "; its memory is limited: ulimit -v unlimited"
     raise MachineError(f"a picture cannot be drawn ({shortened(how, 200)}){remedy}")
@@ -349,10 +414,10 @@ def write_picture(figure: Figure, path: Path, *, footnote: str = "") -> Path:
         "text": textwrap.wrap(figure.title, 90), "subtitle": textwrap.wrap(footnote, 120, max_lines=2),
         "fontWeight": "bold", "fontSize": 13, "subtitleColor": MUTED, "subtitleFontSize": 10, "offset": 12,
     }  # fmt: skip
-    specification = json.dumps({**figure.specification(), "title": title})
-    content = drawn(path.suffix.removeprefix("."), specification)
+    kind = path.suffix.removeprefix(".")
+    content = drawn(kind, {**figure.specification(), "title": title})
     with whole_file(path) as file:
-        file.write(content)
+        file.write(base64.b64decode(content) if kind == "png" else content.encode())
     return path
 
 

@@ -119,7 +119,7 @@ def _packed(specification: Mapping[str, Any]) -> str:
 @cache
 def _library() -> str:
     """Return the programs that draw, about 0.9 MB; putting them together takes two seconds."""
-    return drawn("library").decode()
+    return drawn("library")
 
 
 @dataclass(frozen=True)

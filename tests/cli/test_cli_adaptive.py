@@ -96,6 +96,7 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4
 
 
+@pytest.mark.slow
 def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
     precise = ("uncertainty = 0.05", "uncertainty = 0.01")
     edit(project / WALL, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
@@ -109,6 +110,7 @@ def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, s
     assert "lower communication_step_s in the case file" in examined
 
 
+@pytest.mark.slow
 def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
     edit(project / WALL, ("accepted = [-50, 100]", "accepted = [7, 22]"))
     wall = ("calibrate", "wall", "--jobs", "2", "--max-calls", "12")

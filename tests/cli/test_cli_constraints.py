@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pandas
+import pytest
 from project_for_tests import Run, add_case, stored_simulations
 
 COMMANDS = (
@@ -12,6 +13,7 @@ COMMANDS = (
 )
 
 
+@pytest.mark.slow
 def test_no_row_of_a_search_or_a_sample_breaks_a_constraint(project: Path, studies: Run) -> None:
     file = add_case(project)
     text = file.read_text(encoding="utf-8")

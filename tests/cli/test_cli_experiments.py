@@ -126,6 +126,7 @@ def test_values_are_those_of_an_experiment(project: Path, studies: Run, tmp_path
     assert "name one of: first, second, last" in refused.err
 
 
+@pytest.mark.slow
 def test_check_examines_every_experiment(project: Path, studies: Run) -> None:
     found = studies("check", "wall", "--json").document["findings"]
 
@@ -187,6 +188,7 @@ def test_what_is_wrong_is_one_line(old: str, new: str, message: str, new_project
     assert len(answer.err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_paper_method_knows_experiments_and_constraints(project: Path, studies: Run) -> None:
     shutil.rmtree(project / "mlruns/results/wall-quick")
     file = project / "fmus/wall/case.toml"

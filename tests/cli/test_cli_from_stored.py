@@ -25,6 +25,7 @@ def change_the_data(project: Path) -> None:
     table.to_csv(file, index=False)
 
 
+@pytest.mark.slow
 def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies: Run) -> None:
     change_the_data(project)
     answer = studies(*WALL, "--from-stored", "--max-calls", "6")
@@ -38,6 +39,7 @@ def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies:
     assert found["mse"] < from_nothing["mse"]
 
 
+@pytest.mark.slow
 def test_it_goes_on_with_the_rows_that_it_began_with_and_again_with_all(project: Path, studies: Run) -> None:
     command = (*WALL, "--from-stored", "--max-calls", "4", "--json")
     first = studies(*command).stage
@@ -59,6 +61,7 @@ def test_it_goes_on_with_the_rows_that_it_began_with_and_again_with_all(project:
     assert again["mse"] <= first["mse"]
 
 
+@pytest.mark.slow
 def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, studies: Run) -> None:
     assert studies(*WALL, "--from-stored", "--max-calls", "3").code == 0
     words = f"begun with {N_BEFORE} stored simulations"

@@ -155,6 +155,7 @@ def test_the_best_surrogate_gives_the_indices_and_the_fmu_where_it_is_asked(
     assert sum(map(len, stored_simulations(project, "office").values())) > before
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_the_same(
     tmp_path: Path, whole_run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

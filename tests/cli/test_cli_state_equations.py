@@ -126,6 +126,7 @@ def test_its_simulations_are_everybodys(
     assert studies("reproduce", "wall-quick/adaptive").code == 0
 
 
+@pytest.mark.slow
 def test_how_sure_it_is_takes_no_more_than_the_sample(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

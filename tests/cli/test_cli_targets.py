@@ -49,6 +49,7 @@ def test_normalized_errors_count_and_are_shown(project: Path, studies: Run) -> N
     assert "TMasonry NRMSE" in page
 
 
+@pytest.mark.slow
 def test_only_what_lies_above_a_limit_counts(project: Path, studies: Run) -> None:
     case = load_case(project / "fmus" / "wall" / "case.toml")
     limit = float(np.quantile(case.measurement.outputs[1].samples.values, 0.9))
@@ -71,6 +72,7 @@ def test_only_what_lies_above_a_limit_counts(project: Path, studies: Run) -> Non
     assert judged.code == 0, judged.err
 
 
+@pytest.mark.slow
 def test_correlated_errors_widen_the_intervals(project: Path, studies: Run) -> None:
     def widths() -> np.ndarray:
         found = studies("calibrate", "wall", *SHORT)

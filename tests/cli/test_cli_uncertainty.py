@@ -94,6 +94,7 @@ def test_it_says_how_sure_the_calibration_is(
     assert stored_result(project, JUDGED) == before
 
 
+@pytest.mark.slow
 def test_what_a_calibration_that_ended_early_left_over_is_no_noise(project: Path, studies: Run) -> None:
     early = studies("calibrate", "wall", "--jobs", "1", "--target", "0.05", "--no-state-equations", "--again")
     assert early.code == 0, early.err

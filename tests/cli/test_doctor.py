@@ -65,6 +65,7 @@ def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: R
     assert finding["remedy"]
 
 
+@pytest.mark.slow
 def test_a_measurement_out_of_reach_is_worth_a_look(project: Path, studies: Run) -> None:
     recording = project / "data" / "office" / "recording_1800s.csv"
     table = pandas.read_csv(recording)

@@ -65,6 +65,7 @@ def test_a_parameter_may_act_in_one_experiment_alone(project: Path, studies: Run
     assert not any(what.endswith(": every parameter moves an output") for what in levels(answer))
 
 
+@pytest.mark.slow
 def test_what_acts_in_a_held_out_experiment_alone_is_named(project: Path, studies: Run) -> None:
     two_rooms(project, "cooling", "held-out", dark=("cooling",))
     answer = studies("check", "two-rooms", "--profile", "smoke", "--json")

@@ -68,6 +68,7 @@ def test_a_calibration_is_right_whatever_a_reset_forgets(project: Path, studies:
             assert store.first(store.theta).all()
 
 
+@pytest.mark.slow
 def test_a_command_begins_anew_where_simulations_are_found_wrong(
     project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -40,6 +40,7 @@ def test_no_worker_of_simulations_imports_from_the_working_folder(hostile: Path,
     assert not (hostile / "caught").exists()
 
 
+@pytest.mark.slow
 def test_no_server_imports_from_the_working_folder_or_outlives_its_command(
     hostile: Path, project: Path
 ) -> None:

@@ -50,6 +50,7 @@ def test_the_example_with_bubblewrap_keeps_an_fmu_apart(tmp_path: Path) -> None:
     assert not outside.exists()
 
 
+@pytest.mark.slow
 def test_making_or_checking_a_case_says_once_what_an_fmu_is(project: Path, studies: Run) -> None:
     made = studies("new", str(OFFICE / "Office.fmu"), "--to", str(project / "room"))
     assert made.err.count(NOTICE) == 1

@@ -10,6 +10,8 @@ from held_for_tests import held, wrong_of
 from made_once import made_once
 from pairs_for_tests import Alone, make_base, wrong_of_pair
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -14,6 +14,8 @@ from mlflow_store_for_tests import give_store
 from studies.cli import main
 from studies.tracking.quiet_mlflow import connect
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "company-mlflow.md"
 

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from mlflow_store_for_tests import give_store
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "docs" / "tutorials" / "office-in-python.ipynb"
 NUMBER = re.compile(r"\d+(?:\.\d+)?")

@@ -96,6 +96,7 @@ def test_a_calibration_is_that_of_the_command_line(
     assert found.calls == stage["ledger"]["n_adaptive"] > 0
 
 
+@pytest.mark.slow
 def test_mlflow_stays_as_a_script_has_set_it(project: Path) -> None:
     # As a module, for a script may forget the guard of its main part.
     (project / "guest.py").write_text(GUEST, encoding="utf-8")

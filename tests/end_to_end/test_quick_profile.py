@@ -31,6 +31,8 @@ from studies.surrogate_model import SurrogateModel
 from studies.tracking.quiet_mlflow import connect
 from studies.tracking.runs import RunStore, load_surrogate
 
+pytestmark = pytest.mark.slow
+
 LABEL = "office-quick"
 # All five sizes with 8 trials each take minutes; README's first command runs them.
 SIZES, N_TRIALS = (32, 64), 5

@@ -64,6 +64,7 @@ def test_the_office_is_calibrated_as_shown(project: Path, capsys: pytest.Capture
     compare(blocks(TUTORIALS / "office.md", "text")[0], capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_an_fmu_of_ones_own_is_calibrated_as_shown(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = TUTORIALS / "own-fmu.md"
     commands = [line.split() for block in blocks(page, "sh") for line in block.splitlines()]

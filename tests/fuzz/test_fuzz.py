@@ -171,6 +171,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return root
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_no_file_of_a_stranger_does_harm(project: Path) -> None:
     tried: Counter[tuple[str, bool]] = Counter()

@@ -136,6 +136,7 @@ def test_the_wheel_holds_three_packages_and_the_embedded_cases(wheel: Path) -> N
     }
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_installed_package_writes_into_the_project_alone(site: Path, tmp_path: Path) -> None:
     project, home = tmp_path / "project", tmp_path / "home"

@@ -16,6 +16,8 @@ from studies.paper.table4 import SizeCalibrations
 from studies.paths import ProjectPaths
 from studies.tuning.study_results import read_studies
 
+pytestmark = pytest.mark.slow
+
 Reproduce = Callable[..., tuple[int, dict[str, Any]]]
 RESULTS = Path("mlruns") / "results" / "office-toy" / "paper"
 WORDS = ("--seeds", "2")

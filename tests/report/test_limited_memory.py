@@ -6,10 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_drawn_costs_a_line_and_no_result(tmp_path: Path) -> None:
     give_store(tmp_path)
     command = 'ulimit -v 48000000; exec "$0" -P -m studies calibrate wall --max-calls 12 --jobs 1 --json'

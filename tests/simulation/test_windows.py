@@ -102,6 +102,7 @@ def test_a_crash_costs_one_row_and_says_why(windows_case: Path):
     )
 
 
+@pytest.mark.slow
 def test_kills_lose_no_row_and_leave_no_process(
     windows_case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

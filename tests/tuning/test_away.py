@@ -28,6 +28,7 @@ PAUSE_S = float(os.environ.get("AWAY_S", 4.0))
 N_TRIALS = 3
 
 
+@pytest.mark.slow
 def test_a_store_that_another_program_locks_for_long_loses_no_trial(
     project: ProjectPaths, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -68,6 +69,7 @@ def test_a_store_that_stays_locked_ends_in_one_line(
             patience.waited_for(own.execute, "create table mine (x int)")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # connections that were cut
 def test_a_server_may_be_restarted_while_trials_are_trained(
     project: ProjectPaths, tuned: ProjectPaths, storage: str, postgres_server: "PostgresServer"

@@ -155,6 +155,7 @@ def two_sizes(paths: ProjectPaths, **how: Any) -> list[list[tuple[Any, ...]]]:
     return [essence(plain_study(paths, spec.name)) for spec in SIZES]
 
 
+@pytest.mark.slow
 def test_the_last_trial_of_a_size_tries_the_best_of_the_next_smaller_one(project: ProjectPaths) -> None:
     small, large = two_sizes(project)
     assert len(small) == len(large) == 4
@@ -165,6 +166,7 @@ def test_the_last_trial_of_a_size_tries_the_best_of_the_next_smaller_one(project
     assert closed_studies(SIZES, project, 4) is not None
 
 
+@pytest.mark.slow
 def test_the_last_trial_depends_on_no_interruption_and_no_number_of_workers(
     project: ProjectPaths, tmp_path: Path
 ) -> None:
@@ -178,6 +180,7 @@ def test_the_last_trial_depends_on_no_interruption_and_no_number_of_workers(
     assert two_sizes(other) == at_once
 
 
+@pytest.mark.slow
 def test_a_configuration_that_was_tried_is_not_tried_again(project: ProjectPaths) -> None:
     fixed: dict[str, dict[str, Any]] = {"beta": {"kind": "categorical", "choices": [10.0]}}
     specs: list[Declaration] = [toy_study(n, search=fixed) for n in (16, 24)]

@@ -64,6 +64,7 @@ def test_what_is_confirmed_is_finished_and_no_trial_of_the_budget(confirmed: Tun
     assert closed_studies(specs, paths, N_TUNED, Confirmation(seeds=3, top=2)) is None
 
 
+@pytest.mark.slow
 def test_the_sampler_and_the_pruner_do_not_see_them(
     confirmed: Tuned, copied: ProjectPaths, tmp_path: Path
 ) -> None:

@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import replace
 
 import psutil
+import pytest
 from forked_for_tests import FORKED, is_killed, run_command
 from optuna.trial import TrialState
 from toy_study_for_tests import (
@@ -49,6 +50,7 @@ def assert_each_place_ended(paths: ProjectPaths, name: str, n: int) -> None:
     assert {trial.number for trial in trials if trial not in places(trials)} == repeated
 
 
+@pytest.mark.slow
 def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> None:
     draw = random.Random(28)
     first = [[n] for n in (1, 7)]  # the trial is leased, gets its hyperparameters
@@ -78,6 +80,7 @@ def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> N
         assert_mlflow_agrees(project, spec.label, spec.name)
 
 
+@pytest.mark.slow
 def test_a_killed_command_goes_on(project: ProjectPaths, tuned: ProjectPaths) -> None:
     """Ctrl-C ends a command in tests/cli/test_cli_resume.py."""
     spec = tuned_study(16)

@@ -124,6 +124,7 @@ def test_runs_curves_artifacts_and_models_are_on_the_server(
     np.testing.assert_array_equal(predicted, same)
 
 
+@pytest.mark.slow
 def test_a_list_of_sent_runs_that_is_lost_doubles_nothing(copied: ProjectPaths, server: MlflowServer) -> None:
     paths = with_server(copied, server.uri)
     send(paths)
@@ -137,6 +138,7 @@ def test_a_list_of_sent_runs_that_is_lost_doubles_nothing(copied: ProjectPaths, 
         assert len(client.search_model_versions(f"name = '{model['name']}'")) == 1
 
 
+@pytest.mark.slow
 def test_a_command_ends_once_the_sender_of_another_one_has_sent_its_runs(
     copied: ProjectPaths, server: MlflowServer
 ) -> None:
@@ -161,6 +163,7 @@ def test_a_command_ends_once_the_sender_of_another_one_has_sent_its_runs(
     assert_equal_there(server.uri, paths)
 
 
+@pytest.mark.slow
 def test_two_projects_of_one_name_find_their_own(
     copied: ProjectPaths, server: MlflowServer, tmp_path: Path
 ) -> None:
@@ -176,6 +179,7 @@ def test_two_projects_of_one_name_find_their_own(
     assert not names[0] & names[1]
 
 
+@pytest.mark.slow
 def test_a_run_that_its_owner_deleted_there_is_not_made_again(
     copied: ProjectPaths, server: MlflowServer
 ) -> None:
@@ -191,6 +195,7 @@ def test_a_run_that_its_owner_deleted_there_is_not_made_again(
     assert run.info.run_id not in runs_there(server.uri, paths)
 
 
+@pytest.mark.slow
 def test_a_server_without_a_registry_has_the_runs(copied: ProjectPaths, server: MlflowServer) -> None:
     proxy = WithoutRegistry(server.uri)
     paths = with_server(copied, proxy.uri)
@@ -200,6 +205,7 @@ def test_a_server_without_a_registry_has_the_runs(copied: ProjectPaths, server: 
     assert_equal_there(server.uri, paths)
 
 
+@pytest.mark.slow
 def test_a_killed_server_costs_no_trial_and_no_run(project: ProjectPaths, server: MlflowServer) -> None:
     paths = with_server(project, server.uri)
     spec, said, kills = toy_study(), [], []
@@ -223,6 +229,7 @@ def test_a_killed_server_costs_no_trial_and_no_run(project: ProjectPaths, server
     assert_equal_there(server.uri, paths)
 
 
+@pytest.mark.slow
 def test_a_server_with_a_password(
     copied: ProjectPaths, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +253,7 @@ def test_a_server_with_a_password(
     assert PASSWORD not in kept
 
 
+@pytest.mark.slow
 def test_a_server_on_postgresql_has_the_same_runs(
     copied: ProjectPaths, storage: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

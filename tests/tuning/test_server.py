@@ -91,6 +91,7 @@ def test_a_database_that_is_not_there_is_reported(project: ProjectPaths, storage
         open_storage(ProjectPaths(project.root, storage.rsplit("/", 1)[0] + "/nowhere"))
 
 
+@pytest.mark.slow
 def test_two_projects_of_one_name_in_one_database_find_their_own(
     project: ProjectPaths, storage: str, tmp_path: Path
 ) -> None:
