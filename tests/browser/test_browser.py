@@ -12,6 +12,8 @@ from studies.results.trials import TunedStudy
 from studies.tuning.study_results import read_studies
 from studies.words.wording import setting, significant
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 

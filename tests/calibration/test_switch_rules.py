@@ -62,6 +62,7 @@ def test_a_switch_waits_since_its_last_change() -> None:
     np.testing.assert_allclose(relay((5.5, 5.5))[:, 0], expected, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_thermostat_is_solved_anywhere_in_the_box_and_takes_five_calls() -> None:
     with watched_case(FMUS / "thermostat") as (case, problem):
         found, ode = with_equations(problem, max_calls=20)

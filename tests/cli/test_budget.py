@@ -8,6 +8,8 @@ from project_for_tests import Run, add_case, copy_of, edit, make_project, stored
 
 from studies.cli import main
 
+pytestmark = pytest.mark.slow
+
 PROFILE = """\
 schema = 1
 name = "tiny"

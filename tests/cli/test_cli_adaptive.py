@@ -133,6 +133,7 @@ def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
     assert again["n_simulated"] == again["n_failed"] == n_failed > 0
 
 
+@pytest.mark.slow
 def test_a_calibration_whose_simulations_mostly_fail_ends_and_says_why(project: Path, studies: Run) -> None:
     case = project / "fmus" / "wall" / "case.toml"
     text = case.read_text().replace("accepted = [-50, 100]", "accepted = [11, 18]")

@@ -11,6 +11,7 @@ N_DESIGN = 7
 PRIOR = 'name = "GIn"\nprior = { about = 75, within_factor = 1.05 }\n'
 
 
+@pytest.mark.slow
 def test_a_prior_costs_no_simulation_again_and_is_shown(project: Path, studies: Run) -> None:
     case = add_case(project)
     before = studies(*ADAPTIVE, "--json").stage

@@ -4,12 +4,14 @@ import re
 from pathlib import Path
 
 import pandas
+import pytest
 from project_for_tests import Run, add_case, edit
 
 WALL = ("calibrate", "wall", "--jobs", "1", "--max-calls", "5")
 PLAIN = "(?<!R)MSE"
 
 
+@pytest.mark.slow
 def test_results_are_named_mean_losses_and_outliers_are_counted(project: Path, studies: Run) -> None:
     case = add_case(project)
     # The masonry has one wrong sample, 30 K off on day 2.

@@ -105,6 +105,7 @@ def test_who_wants_them_is_learnt_why_there_are_none(
     assert "state_equations" not in stored_result(project)
 
 
+@pytest.mark.slow
 def test_its_simulations_are_everybodys(
     made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

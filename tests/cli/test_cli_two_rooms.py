@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from project_for_tests import Run, add_case
 
 TRUTH = {"C1": 1.3e6, "C2": 8e5, "CWall": 5.2e6, "G1": 26, "G2": 17, "GWall": 62, "A1": 1.4, "A2": 0.55}
 
 
+@pytest.mark.slow
 def test_seven_experiments_find_what_all_share_and_predict_the_eighth(project: Path, studies: Run) -> None:
     add_case(project, "two-rooms")
     found = studies("calibrate", "two-rooms", "--jobs", "2", "--json").stage

@@ -123,6 +123,7 @@ def test_a_sample_that_is_worth_nothing_gives_no_interval(
     assert write_picture(interval_figure(box, found), tmp_path / "intervals.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_where_rows_are_stored_and_no_result_it_goes_on_and_simulates_nothing_twice(
     undisturbed: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

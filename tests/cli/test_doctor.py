@@ -53,6 +53,7 @@ def test_the_office_is_sound(project: Path, studies: Run) -> None:
     assert 0.0 < document["simulation_s"] < 1.0
 
 
+@pytest.mark.slow
 def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: Run) -> None:
     # Ventilation that never runs leaves its flow without effect.
     case = project / "fmus" / "office" / "case.toml"

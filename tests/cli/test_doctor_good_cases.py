@@ -56,6 +56,7 @@ def two_rooms(project: Path, *names: str, dark: tuple[str, ...]) -> None:
     file.write_text("[[experiments]]".join([head, *parts]), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_parameter_may_act_in_one_experiment_alone(project: Path, studies: Run) -> None:
     # Without sun the windows' areas have no effect.
     two_rooms(project, "cooling", "heater-1", dark=("cooling",))

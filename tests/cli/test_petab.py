@@ -152,6 +152,7 @@ def test_conditions_are_experiments_and_replicates_one_sample(
     assert [one.name for one in (new_project / "own").iterdir()] == ["y.csv"]
 
 
+@pytest.mark.slow
 def test_conditions_give_variables_estimated_parameters(
     new_project: Path, tmp_path: Path, fmu: Path, studies: Run
 ) -> None:

@@ -87,6 +87,7 @@ def test_what_mlflow_recorded_is_made_again_to_the_last_digit(copied: Path, stud
             assert answer.document["run"] in runs_of(copied, "calibration")
 
 
+@pytest.mark.slow
 def test_the_run_of_the_stored_result_is_made_again_whatever_a_clock_says(copied: Path, studies: Run) -> None:
     before = {*runs_of(copied, "calibration")}
     assert studies("calibrate", "wall", "--profile", "smoke", "-q", "--max-calls", "9").code == 0

@@ -199,6 +199,7 @@ def test_the_same_seed_gives_the_same_surrogate(learnt: Surrogate) -> None:
     np.testing.assert_array_equal(again.predict(theta), learnt.predict(theta))
 
 
+@pytest.mark.slow
 def test_modes_learn_an_oscillator() -> None:
     """Of free oscillations that decay, no network of stores can be one."""
     t = np.arange(N_STEPS + 1)

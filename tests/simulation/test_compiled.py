@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from exchange_for_tests import MODES, build, settings
 
 from simulation import Parameter, ParameterSpace
@@ -25,6 +26,7 @@ print(sum(set_inputs.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_a_change_of_what_a_loop_is_compiled_from_compiles_it_again(tmp_path: Path):
     shutil.copytree(ROOM, tmp_path / "simulation", ignore=shutil.ignore_patterns("__pycache__"))
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

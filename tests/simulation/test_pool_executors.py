@@ -75,6 +75,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         yield cluster
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_cluster_killed_half_way_costs_nothing(cluster: Any):
     from simulation.pool.dask_executor import DaskExecutor
 

@@ -79,6 +79,7 @@ def test_other_inputs_give_other_outputs(here: Path, capsys: pytest.CaptureFixtu
     assert warm["TMasonry"][-1] > cold["TMasonry"][len(warm["time_s"]) - 1] + 0.5
 
 
+@pytest.mark.slow
 def test_recordings_of_one_name_have_a_prediction_each(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

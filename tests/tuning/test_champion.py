@@ -92,6 +92,7 @@ def test_a_trial_that_another_program_ended_in_an_earlier_study_is_registered_by
     assert closed_studies([edited], copied, 1) is None
 
 
+@pytest.mark.slow
 def test_a_project_of_before_gets_one_answer_from_the_next_command(networks: ProjectPaths) -> None:
     spec = tuned_study(16)
     edited = replace(spec, search=EDITED, settings=spec.settings | {"max_epochs": 1})

@@ -75,6 +75,7 @@ def test_the_sampler_and_the_pruner_do_not_see_them(
     assert essence(plain_study(more, spec.name)) == essence(plain_study(copied, spec.name))
 
 
+@pytest.mark.slow
 def test_an_interruption_changes_no_confirmation(
     confirmed: Tuned, copied: ProjectPaths, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,6 +107,7 @@ def test_a_killed_command_goes_on(project: ProjectPaths, tuned: ProjectPaths) ->
     assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))
 
 
+@pytest.mark.slow
 def test_a_trial_that_kills_its_worker_again_and_again_fails(project: ProjectPaths) -> None:
     spec = toy_study()
     tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)

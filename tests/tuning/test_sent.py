@@ -98,6 +98,7 @@ def assert_equal_there(uri: str, paths: ProjectPaths) -> None:
         assert names[0] == names[1]
 
 
+@pytest.mark.slow
 def test_runs_curves_artifacts_and_models_are_on_the_server(
     copied: ProjectPaths, server: MlflowServer
 ) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 N_TRIALS = 8
 
 
+@pytest.mark.slow
 def test_two_workers_one_killed_reach_the_trials(
     project: ProjectPaths, storage: str, postgres_server: "PostgresServer"
 ) -> None:

@@ -67,6 +67,7 @@ def test_trials_begin_with_the_default_and_the_sampler_proposes_most_although_so
         assert {trial.proposed_by for trial in study.trials} == {"default", "start-up", "TPESampler"}
 
 
+@pytest.mark.slow
 def test_more_trials_extend_a_study_as_if_it_had_been_asked_for_them_at_once(
     project: ProjectPaths, tuned: ProjectPaths
 ) -> None:
@@ -80,6 +81,7 @@ def test_more_trials_extend_a_study_as_if_it_had_been_asked_for_them_at_once(
     assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))
 
 
+@pytest.mark.slow
 def test_fewer_trials_than_an_interrupted_study_wanted_end_there(project: ProjectPaths) -> None:
     spec = toy_study(16)
     prepared(project, spec, 6)
