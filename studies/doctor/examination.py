@@ -52,10 +52,10 @@ def examine(task: Task, *, is_thorough: bool = False, limit_s: float = EXAMINATI
     if not case.experiments:
         one = _Examination(task, is_thorough=is_thorough, limit_s=limit_s)
         findings = (*one.findings(), *one.of_effects())
-        simulation_s = one.budget.simulation_s
-        note_time(task.paths, case, Timed(simulation_s, max(one.budget.opening_s - simulation_s, 0.0)))
+        note_time(task.paths, case, one.timed)
         return Diagnosis(findings, one.budget.simulation_s)
     found, longest_s, parts = list[Finding](), 0.0, dict[str, effects.Effects | None]()
+    timed = list[Timed]()
     members = list(named_experiments(case))
     for n_before, (name, member) in enumerate(members):
         # What one experiment leaves of its share the others have.
@@ -64,11 +64,14 @@ def examine(task: Task, *, is_thorough: bool = False, limit_s: float = EXAMINATI
         one = _Examination(part, is_thorough=is_thorough, limit_s=share_s, is_first=is_first)
         found += (replace(line, what=f"{name}: {line.what}") for line in one.findings())
         longest_s = max(longest_s, one.budget.simulation_s)
+        timed.append(one.timed)
         parts[name] = one.effects
     found.append(look_at_number_of_values(case))
     whole = effects.over_experiments(case, [parts[one.name] for one, _ in case.members])
     found += filter(None, [effects.look_at_effects(whole)])
-    note_time(task.paths, case, Timed(len(members) * longest_s))
+    # One experiment may have had no time for a simulation.
+    if all(one.simulation_s for one in timed):
+        note_time(task.paths, case, Timed(*(sum(each) for each in zip(*timed, strict=True))))
     return Diagnosis(tuple(found), longest_s)
 
 
@@ -77,6 +80,7 @@ class _Examination:
 
     Attributes:
         budget: Its time.
+        timed: What a simulation takes in a process that is open, and the opening of one; 0 if unknown.
         effects: What parameters do; None where nothing could be simulated.
     """
 
@@ -85,6 +89,7 @@ class _Examination:
         self._base = task.case.parameter_space.expected
         n_workers = min(task.n_jobs, policy.max_workers or task.n_jobs)
         self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s, limit_s=limit_s)
+        self.timed = Timed(0.0)
         self.effects: effects.Effects | None = None
         self._is_random = False
         self._is_first = is_first
@@ -120,6 +125,7 @@ class _Examination:
                 began = monotonic()
                 nominal = alone.simulate(self._base[None])
                 budget.simulation_s = budget.opening_s = monotonic() - began
+                self.timed = Timed(budget.simulation_s)
                 budget.begin()
             except InputError as error:
                 reason = " ".join(str(error).split()).removeprefix(f"{case.fmu.path}: ")
@@ -140,6 +146,7 @@ class _Examination:
                 if answer.is_whole:
                     budget.simulation_s = monotonic() - began
                 yield self._in_any_order(timed)
+                self.timed = Timed(alone.simulation_s or budget.simulation_s, alone.opening_s)
             yield from self._in_the_box(nominal, is_first=n_points == 0)
             yield self._in_other_processes(nominal)
         yield list(self._costs())
