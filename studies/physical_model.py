@@ -115,6 +115,11 @@ def never_reused_file(paths: ProjectPaths, case: Case) -> Path:
     return simulations / f"{case.fmu.sha256[:16]}.own-process"
 
 
+def checked_file(paths: ProjectPaths, case: Case) -> Path:
+    """Return the file that names the simulations that a check made of a case."""
+    return paths.generated(case.name) / "simulations" / f"{case.model_digest[:16]}.checked.npz"
+
+
 def give_up_reuse(task: Task) -> None:
     """Remember that a case's FMU does not forget a simulation, and remove what may be wrong by that.
 

@@ -241,7 +241,8 @@ def calibrate(
         max_hours: No simulation begins later; the same call continues. [h]
         parallel: Simulations per round of an adaptive calibration; None for 1.
         target: Error until which an adaptive calibration goes on. [first output's unit squared]
-        from_stored: Whether an adaptive calibration begins with the stored simulations of this model.
+        from_stored: Whether an adaptive calibration begins with the stored simulations of this model; None
+            for those of a check.
         state_equations: Whether it learns state equations; None for yes if the FMU gives its states.
         again: Repeat what is finished.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
@@ -291,7 +292,7 @@ def calibrate(
         max_calls=max_calls,
         n_parallel=parallel or 1,
         target_mse=target,
-        from_stored=bool(from_stored),
+        from_stored=from_stored,
         state_equations=state_equations,
         again=again,
     )

@@ -9,10 +9,11 @@ once: after an interruption or a kill, the same command reads the stored ones an
 Q simulations per round, spread over --jobs: fewer rounds, but more calls. Results:
 mlruns/results/<label>/calibrate-adaptive.json and .npz, a run in MLflow, a page by studies report.
 
---from-stored begins with the stored simulations of this model, at most 250. They may come from training
-sets or from an earlier calibration, also with other data, weights, priors or bounds. They cost no call.
-After such a change the optimum is often found in one to three calls. The result gives their number. With
---again the calibration begins with everything that is stored by now.
+It begins with the simulations that studies check made of this model, which cost no call; the result gives
+their number. --no-from-stored begins with none. --from-stored begins with all stored simulations of this
+model, at most 250. They may come from training sets or from an earlier calibration, also with other data,
+weights, priors or bounds. After such a change the optimum is often found in one to three calls. With --again
+the calibration begins with everything that is stored by now.
 
 State equations describe how the states of the FMU change. They are learnt from the states and derivatives
 that the FMU returns in each simulation. They are found where the derivatives are sums of states, inputs,
@@ -59,9 +60,9 @@ OPTIONS = (
     ),
     Option(
         "--from-stored",
-        action="store_true",
-        default=None,
-        help="adaptive: begin with the stored simulations of this model",
+        action=argparse.BooleanOptionalAction,
+        help="adaptive: begin with the stored simulations of this model or with none; default: with those of "
+        "studies check",
     ),
     Option(
         "--state-equations",

@@ -25,7 +25,8 @@ from studies.doctor.declared import look_at_data, look_at_declaration, look_at_n
 from studies.doctor.finding import Diagnosis, Finding, finding, named
 from studies.doctor.means import look_at_means, rows_for_means
 from studies.doctor.names import look_at_names
-from studies.physical_model import give_up_reuse, never_reused_file, open_physical_model
+from studies.physical_model import checked_file, give_up_reuse, never_reused_file, open_physical_model
+from studies.results.saved import write_arrays
 from studies.simulation_time import Timed, note_time
 from studies.task import Task
 from studies.words.console import format_seconds
@@ -196,19 +197,27 @@ class _Examination:
             # A single experiment's model is a pool.
             timed = TimedModel(cast("PoolModel", stored.unstored), budget, stored.store)
             timed.add(nominal, is_first=is_first)
-            moved = self._moved(timed, nominal)
-            points, what = answers.corner_points(case), "corners of the box"
-            if n := budget.rows(what, len(points), 2):
-                yield list(answers.look_at_corners(timed.ask(points[:n], what).answer))
-            points, what = answers.coverage_points(case), "coverage of the measurement"
-            if n := budget.rows(what, len(points), 8):
-                found = timed.ask(points[:n], what)
-                yield list(answers.look_at_coverage(case, found, timed.known))
-            if moved is not None:
-                self._from_other_points(timed)
-                yield self._at_bounds(timed, moved)
-            yield self._mixed_up(timed.known)
-            yield self._means(timed)
+            try:
+                yield from self._answered(timed, nominal)
+            finally:
+                write_arrays(checked_file(self._study.paths, case), {"theta": timed.known.theta})
+
+    def _answered(self, timed: TimedModel, nominal: Trajectories) -> Iterator[list[Finding]]:
+        """Judge what the box answers."""
+        case, budget = self._case, self.budget
+        moved = self._moved(timed, nominal)
+        points, what = answers.corner_points(case), "corners of the box"
+        if n := budget.rows(what, len(points), 2):
+            yield list(answers.look_at_corners(timed.ask(points[:n], what).answer))
+        points, what = answers.coverage_points(case), "coverage of the measurement"
+        if n := budget.rows(what, len(points), 8):
+            found = timed.ask(points[:n], what)
+            yield list(answers.look_at_coverage(case, found, timed.known))
+        if moved is not None:
+            self._from_other_points(timed)
+            yield self._at_bounds(timed, moved)
+        yield self._mixed_up(timed.known)
+        yield self._means(timed)
 
     def _moved(self, timed: TimedModel, nominal: Trajectories) -> Asked | None:
         """Move every parameter from the estimates; None where there is no time for that."""

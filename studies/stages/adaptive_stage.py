@@ -22,6 +22,7 @@ from studies.calibration.state_equations.states import StateSignals, why_unwatch
 from studies.physical_model import (
     TIME_OVER,
     StoredWatchedModel,
+    checked_file,
     open_physical_model,
     open_watched_model,
     say_reused,
@@ -33,7 +34,7 @@ from studies.stages.calibrated_point import calibration_at, repeat_best, validat
 from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_calibration
-from studies.stages.warm_start import ChooseRows, WarmStart, stored_in_box
+from studies.stages.warm_start import ChooseRows, WarmStart, checked_in_box, stored_in_box
 from studies.task import StageError, Task
 from studies.words.console import OnBar
 from studies.words.wording import count, quantity, square_of
@@ -54,7 +55,7 @@ def adaptive_stage(
     max_calls: int | None,
     n_parallel: int,
     target_mse: float | None,
-    from_stored: bool,
+    from_stored: bool | None,
     state_equations: bool | None,
     again: bool,
 ) -> Outcome[Calibration]:
@@ -68,7 +69,8 @@ def adaptive_stage(
         max_calls: most simulations, None for the usual number.
         n_parallel: rows per round.
         target_mse: error to stop at, or None. [first output's unit squared]
-        from_stored: whether to start from the simulations that are stored, whatever they were made for.
+        from_stored: whether to start from the simulations that are stored, whatever they were made for; None
+            for those of a check.
         state_equations: whether to learn the model's state equations from the states that its FMU shows; None
             does it where it can.
         again: calibrate though it is finished, with what is stored now.
@@ -83,7 +85,7 @@ def adaptive_stage(
         n_parallel=n_parallel,
         target_mse=target_mse,
     )
-    if not from_stored:
+    if not from_stored and not (from_stored is None and checked_file(task.paths, task.case).is_file()):
         _check_budget(settings, task.case.parameter_space.n_parameters, learns=learns)
     case = task.case
     inputs = {
@@ -91,7 +93,7 @@ def adaptive_stage(
         "settings": asdict(settings),
         "seed": task.profile.seed,
         **validation_inputs(case),
-        **({"from_stored": True} if from_stored else {}),
+        **({} if from_stored is None else {"from_stored": from_stored}),
         **({"state_equations": True} if learns else {}),
     }
     equations = "state equations or " if learns else ""
@@ -101,14 +103,22 @@ def adaptive_stage(
     )
     stage = Stage(task, STAGE, what, inputs, Calibration, {"kind": "adaptive", "settings": asdict(settings)})
     start, files = None, list[Path]()
-    if from_stored:
+    if from_stored is not False:
         # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
         any_end = replace(settings, max_calls=1, target_mse=None)
         question = inputs | {"settings": asdict(any_end)}
         files = [stage.file.with_name(f"{STAGE}-rows.npz")]
-        start = WarmStart(files[0], digest_of(question), best_and_far, anew=again and stage.is_anew)
+        rows = stored_in_box if from_stored else checked_in_box(task.paths, case)
+        start = WarmStart(files[0], digest_of(question), best_and_far, rows, anew=again and stage.is_anew)
+
+    def calibrated() -> Calibration:
+        found = calibrate_adaptively(task, settings, start, state_equations=learns)
+        if from_stored and found.n_warm_start is None:
+            task.console.say("no good simulation within the bounds was stored: it began with none")
+        return found
+
     return stage.once(
-        lambda: calibrate_adaptively(task, settings, start, state_equations=learns),
+        calibrated,
         again=again,
         files=files,
         log=log_calibration,
@@ -151,7 +161,8 @@ def calibrate_adaptively(
         rows = known = None
         if start is not None:
             rows = start(physical, problem, lambda found: -found.objective)
-            known = rows.judged(physical, problem)
+            rows = rows if len(rows.theta) else None
+            known = None if rows is None else rows.judged(physical, problem)
         _say_start(task, physical, None if known is None else known.n)
         n_read = physical.n_reused
         reporter = _Reporter(task, physical, bars)
@@ -192,10 +203,9 @@ def calibrate_adaptively(
 
 
 def _say_start(task: Task, physical: StoredModel, n_start: int | None) -> None:
-    """Say from how many stored simulations it starts, None for those that were not asked for."""
+    """Say from how many stored simulations it starts, None for none."""
     if n_start is not None:
-        begun = f"begins with {count(n_start, 'stored simulation')} of this model"
-        task.console.say(begun if n_start else "no good simulation within the bounds is stored")
+        task.console.say(f"begins with {count(n_start, 'stored simulation')} of this model")
     elif n_good := int(physical.store.find_good(stored_in_box(physical)).sum()):
         stored = count(n_good, "stored simulation")
         task.console.say(f"{stored} of this model: --from-stored begins with the best")

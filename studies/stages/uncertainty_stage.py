@@ -40,7 +40,7 @@ from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_uncertainty
-from studies.stages.warm_start import WarmStart
+from studies.stages.warm_start import WarmStart, stored_in_box
 from studies.task import StageError, Task
 from studies.words.wording import count, listed
 
@@ -118,7 +118,9 @@ def uncertainty_stage(
     what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
     what += duration(task, max_calls)
     stage = Stage(task, f"uncertainty-{name}", what, inputs, Uncertainty, {"kind": "uncertainty"})
-    start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
+    start = WarmStart(
+        stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows, stored_in_box
+    )
     return stage.once(
         lambda: _judge(task, calibration, start, noise, max_calls),
         again=again,

@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.case import Case
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.physical_model import StoredWatchedModel
+from studies.paths import ProjectPaths
+from studies.physical_model import StoredWatchedModel, checked_file
 from studies.results.saved import read_arrays, write_arrays
 
 Worth = Callable[[Evaluation], FloatArray]
@@ -49,16 +51,18 @@ class WarmStart:
         file: Where they are noted.
         digest: Of the stage's inputs.
         choose: Returns the most informative rows of (n, p) points in the unit cube with their worth (n,).
+        rows: Returns the stored rows to choose from. Shape (n, p). [per parameter]
         anew: Whether they are chosen although they were noted.
     """
 
     file: Path
     digest: str
     choose: Callable[[FloatArray, FloatArray], IntArray]
+    rows: Callable[[StoredModel], FloatArray]
     anew: bool = False
 
     def __call__(self, physical: StoredModel, problem: CalibrationProblem, worth: Worth) -> StartRows:
-        """Read the rows that were noted, else choose those of the store that lie in the box, and note them.
+        """Read the rows that were noted, else choose from the stored ones, and note them.
 
         Args:
             physical: The model with all its simulations.
@@ -68,7 +72,7 @@ class WarmStart:
         noted = self._noted(physical)
         if noted is not None:
             return noted
-        theta = stored_in_box(physical)
+        theta = self.rows(physical)
         values = np.empty(0)
         for block in physical.store.stream(theta):
             values = np.append(values, worth(problem.judge(problem.space.to_unit(block.theta), block)))
@@ -96,3 +100,21 @@ def stored_in_box(physical: StoredModel) -> FloatArray:
     """Return the stored rows within the bounds. Shape (n, p). [per parameter]."""
     theta = physical.store.theta
     return theta[physical.parameter_space.contains(theta)]
+
+
+def checked_in_box(paths: ProjectPaths, case: Case) -> Callable[[StoredModel], FloatArray]:
+    """Return what reads the stored rows within the bounds that a check of the case made.
+
+    Args:
+        paths: Of the project.
+        case: The case. Rows of several experiments are stored apart, so these have none.
+    """
+
+    def read(physical: StoredModel) -> FloatArray:
+        file, nothing = checked_file(paths, case), np.empty((0, physical.parameter_space.n_parameters))
+        theta = read_arrays(file).get("theta", nothing) if file.is_file() else nothing
+        if theta.shape[1:] != nothing.shape[1:] or not len(theta):
+            return nothing
+        return theta[physical.parameter_space.contains(theta) & physical.store.find(theta)]
+
+    return read

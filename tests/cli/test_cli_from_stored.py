@@ -83,12 +83,30 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
     assert f"after 0 model calls, begun with {N_BEFORE} stored simulations" in text
 
 
+def test_simulations_of_a_check_are_begun_with_unless_a_search_had_begun_without(
+    project: Path, studies: Run
+) -> None:
+    manifest = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
+    command = (*WALL, "--max-calls", str(N_BEFORE))
+    before = stored_result(project)
+    assert studies("check", "wall", "--jobs", "1").code == 0
+    assert "finished before" in studies(*command).err
+    manifest.unlink()  # as after a kill
+    assert studies(*command, "--json").stage["n_simulated"] == 0
+    assert stored_result(project) == before
+    again = studies(*command, "--again", "--max-calls", "2", "--json").stage
+    assert (again["n_warm_start"], again["n_simulated"]) == (149, 2)
+    assert again["mse"] < before["mse"]
+    alone = studies(*command, "--no-from-stored", "--json").stage
+    assert (alone["n_simulated"], alone["mse"]) == (0, before["mse"])
+
+
 def test_where_nothing_is_stored_it_begins_with_nothing(project: Path, studies: Run) -> None:
     shutil.rmtree(project / "data" / "wall" / "generated")
     answer = studies(*WALL, "--from-stored", "--max-calls", "8")
     assert answer.code == 0, answer.err
-    assert "no good simulation within the bounds is stored" in answer.err
-    assert stored_result(project)["n_warm_start"] == 0
+    assert "no good simulation within the bounds was stored" in answer.err
+    assert "n_warm_start" not in stored_result(project)
 
 
 def test_files_that_have_changed_since_are_named(project: Path, studies: Run) -> None:
