@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 _LINK = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)\s#]+)(#[^)\s]*)?\)")
 _EQUATION = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_UNSEARCHED = ("CHANGELOG.md", "DECISIONS.md", "notes/")
-"""Histories: they name everything, so that a search would find them before the page that answers."""
+_UNSEARCHED = ("CHANGELOG.md", "DECISIONS.md", "notes/", "publish.md")
+"""Histories and maintenance: a search would find them before the page that answers."""
 
 
 def on_files(files: Files, config: Any) -> None:

@@ -16,15 +16,19 @@ from mkdocs.plugins import event_priority
 QUESTIONS = Path(__file__).with_name("search_words.js")
 PAGE = 0.4
 """Weight of a page's first lines. The theme multiplies their score by up to 5, that of a section by 2."""
-WEIGHTS = {"reference/": 0.5, "repository/": 0.5}
-"""Of pages whose address begins so: they name everything, and the answer is mostly on another page."""
+WEIGHTS = {
+    "questions.": 1.5,
+    **dict.fromkeys(("reference/", "repository/", "index.", "paper."), 0.4),
+    "glossary.": 0.7,
+}
+"""Of pages whose address begins so. Some name everything, and the answer is mostly on another page."""
 GLOSSARY = "glossary.html"
-OTHER_WORDS = 1.0
+OTHER_WORDS = 3.0
 """Weight of words that mean the same; that of the text is 1."""
 SAME = (
     "stop interrupt cancel abort pause quit",
     "resume continue restart",
-    "crash hang freeze stuck segfault",
+    "crash hang freeze stuck segfault nan diverge",
     "delete remove erase clean reset uninstall",
     "computer machine laptop pc workstation",
     "cluster hpc slurm dask queue",
@@ -44,11 +48,16 @@ SAME = (
     "tunnel remote ssh",
     "telemetry privacy confidential upload",
     "licence license",
-    "gpu cuda graphics",
+    "gpu cuda graphics card",
     "begin start quickstart",
     "experiment recording dataset",
     "outlier spike",
     "poor bad wrong",
+    "macos mac osx apple",
+    "watch monitor observe live",
+    "weigh weight balance",
+    "predict forecast extrapolate",
+    "better best compare",
     "notebook jupyter",
     "colleague team",
     "postgresql postgres database",

@@ -3,11 +3,11 @@
 const NO_CONTENT = new Set(
   ("a about all also am an and any anything are as at be been but by can cannot could did do does doing each for from get gets "
     + "give go had has have having he her here his how i if in into is it its just let like make me mean means more most much "
-    + "my no not of on one or our out own please possible put say see shall she should so some something such "
+    + "my need needs no not of on one or our out own please possible put say see shall she should so some something such "
     + "take takes than that the their them then there these they this those to up us use used uses using very via want "
-    + "wants was way we were what when where which while who whose why will with without would yes you your").split(" ")
+    + "wants was way we were what when where which while who whose why will with without two three several other each only difference between work works would yes you your").split(" ")
 );
-const ASKS_MEANING = /^\s*(what('s| is| are| does| do)\b|define|definition|meaning)|\bmean(s|ing)?\W*$/i;
+const ASKS_MEANING = /^\s*(what('s| is| are| does| do)\b|define|definition|meaning)|\bmean(s|ing)?\W*$|\bmeaning of\b|difference between/i;
 const BEGINNING = 5; // Letters of the last word, which may not be whole yet: the index holds stems, "simul" of "simulatio".
 
 function stem(word) {
@@ -21,7 +21,7 @@ function inWords(query) {
   const asked = kept.length ? kept : words;
   if (!asked.length) return query;
   const whole = asked.map(word => `${stem(word)}^10`);
-  if (ASKS_MEANING.test(query)) whole.push("glossari^5");
+  if (ASKS_MEANING.test(query)) whole.push("glossari^30");
   return [...whole, asked.at(-1).slice(0, BEGINNING)].join(" ");
 }
 

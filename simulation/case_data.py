@@ -100,11 +100,15 @@ class CaseData:
         is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
             # The line after the last value: its cell is empty, or its time is too late.
-            line = int(np.flatnonzero(known)[row]) + 1 + recording.first_line
+            before, after = np.flatnonzero(known)[[row, row + 1]].tolist()
+            line = before + 1 + recording.first_line
+            gap = f"{time[row]:.12g} to {time[row + 1]:.12g} s"
+            if recording.clock != "seconds":
+                gap = f"{recording.stamps[before]} to {recording.stamps[after]} ({steps[row]:.12g} s)"
             raise InputError(
-                f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
-                f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "
-                f"max_gap_s = {steps[row]:.12g}{_clock_hint(recording, float(steps[row]))}"
+                f"{recording.path}: line {line}: {column} has no value from {gap}; "
+                f"fill the gap, or write max_gap_s = {steps[row]:.12g} for "
+                f"inputs[{table.name}], which interpolates{_clock_hint(recording, float(steps[row]))}"
             )
         return time, values
 
@@ -115,8 +119,8 @@ def _clock_hint(recording: Recording, gap_s: float) -> str:
     if recording.clock == "seconds" or abs(gap_s - recording.step_s - hour_s) > 1e-6 * hour_s:
         return ""
     if recording.clock == "local":
-        return "; if clocks were set forward there, give the case its timezone instead"
-    return "; if this clock is never set forward or back, leave timezone out of the case instead"
+        return "; if it is the change to summer time, write the timezone into the case instead"
+    return "; if this clock has no summer time, remove timezone from the case instead"
 
 
 def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:

@@ -262,9 +262,13 @@ class OutputTable(Table):
         if self.uncertainty_column is not None:
             for key in ("uncertainty", "uncertainty_share"):
                 if getattr(self, key) is not None:
-                    raise ValueError(f"uncertainty_column says what {key} says; drop one of them")
+                    raise ValueError(
+                        f"uncertainty_column and {key} both give the uncertainty; remove one of them"
+                    )
         if self.normalize is not None and (self.uncertainty_column or self.uncertainty_share):
-            raise ValueError("normalize is in place of uncertainties; drop it, or those of single samples")
+            raise ValueError(
+                "normalize replaces uncertainties; remove it, or the uncertainties of single samples"
+            )
 
     def _check_limits_alone(self) -> None:
         """Check an output that is not measured."""
@@ -497,8 +501,8 @@ class CaseFile(Table):
         data: folder of the recordings, from the folder of the case file.
         data_origin: where missing recordings come from; part of the error message.
         time_column: column of the times; without it, `time_s` or `time`.
-        timezone: zone of timestamps without an offset, as "Europe/Berlin"; without it, their clock
-            is never set forward or back.
+        timezone: zone of timestamps without an offset, as "Europe/Berlin"; without it, they
+            have no summer time.
         time_format: how timestamps are written, in codes of Python's strptime, as "%m/%d %H:%M:%S"; without
             it, ISO 8601 or day.month.year.
         year: year of timestamps that have none; without it, one of 365 days.
@@ -557,11 +561,13 @@ class CaseFile(Table):
             )
         for name in self.fixed:
             if f"parameters[{name}]" in declared:
-                raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")
+                raise ValueError(
+                    f"fixed.{name}: {name} is both in [[parameters]] and under [fixed]; remove one of them"
+                )
         for name in self.tied:
             if name in self.fixed or f"parameters[{name}]" in declared:
                 also = "[fixed]" if name in self.fixed else "[[parameters]]"
-                raise ValueError(f"tied.{name}: {name} is also under {also}; drop one of the two")
+                raise ValueError(f"tied.{name}: {name} is both under [tied] and {also}; remove one of them")
         return self
 
     def is_per_experiment(self, name: str) -> bool:

@@ -79,7 +79,8 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
     for name in driven:
         for also, names in (("[fixed]", file.fixed), ("[[parameters]]", calibrated)):
             if name in names:
-                raise InputError(f"inputs[{name}] is also under {also}; drop one of the two")
+                keep = "keep [[inputs]] if it was recorded"
+                raise InputError(f"inputs[{name}] is also in {also}; {keep}, and remove the other")
     for name in fmu.names("input"):
         # An input that nothing can set must not stop the others; `studies check` reports it.
         has_source = name in (*driven, *file.fixed, *calibrated, *file.tied)
@@ -160,13 +161,17 @@ def constraints(file: CaseFile) -> tuple[tuple[str, str], ...]:
                 )
             if tables[name].prior is not None:
                 raise InputError(
-                    f"{where}: {name} has a prior, which is of single parameters; drop one of the two"
+                    f"{where}: {name} has a prior, which no parameter of a constraint can have; "
+                    "remove one of the two"
                 )
         small, large = (tables[name] for name in parts)
         if small.unit != large.unit:
             raise InputError(f"{where}: units are {small.unit} and {large.unit}; declare both in one unit")
         if small.estimate is not None and large.estimate is not None and small.estimate > large.estimate:
-            raise InputError(f"{where}: the estimates break it; correct them")
+            raise InputError(
+                f"{where}: the estimates {small.name} = {small.estimate:g} and {large.name} = "
+                f"{large.estimate:g} violate it; correct one of them"
+            )
         pairs.append((small.name, large.name))
     return tuple(pairs)
 

@@ -56,7 +56,9 @@ def read_table(content: bytes, time_names: Collection[str], names: Collection[st
         text = _decoded(content)
         first = text.partition("\n")[0]
         if first.startswith("sep="):
-            raise InputError(f"line 1, {quoted(first.strip())}, is for a spreadsheet alone; remove it")
+            raise InputError(
+                f"line 1, {quoted(first.strip())}, is for spreadsheets and no data; remove this line"
+            )
         place, start = _header_place(text, set(time_names), set(names))
         line = text[start:].partition("\n")[0]
         delimiter = _delimiter(line)

@@ -96,7 +96,7 @@ def read_recording(
         column_names: Columns to read beside the time.
         time_column: Name of the time column; None for `time_s` or `time`, whichever is there.
         timezone: Where the clock of timestamps without an offset hangs, e.g. "Europe/Berlin"; None for a
-            clock that is never set forward or back.
+            clock without summer time.
         stamps: How timestamps are written; None for the usual forms.
         if_missing: What to do where there is no such file; "" for the general advice.
         is_quoted: Whether a message may quote what the file holds.
@@ -282,12 +282,10 @@ class _Reader:
             said = "repeats" if time[row + 1] == time[row] else "comes before"
             hint = ""
             if stamps and time[row] - time[row + 1] <= 3600.0:
-                hint = (
-                    "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
-                )
+                hint = "; at the end of summer time, write the offset from UTC, or a timezone into the case"
                 if timezone:
                     # Of a clock in a time zone, the same time twice is a row twice.
-                    never_set = "; if this clock is never set forward or back, remove timezone = "
+                    never_set = "; if this clock has no summer time, remove timezone = "
                     hint = f"{never_set}{timezone!r} from the case" if before != cell else ""
             column = name if name == TIME_COLUMN else f"column {name}"
             raise InputError(

@@ -159,10 +159,11 @@ class FmuDescription:
             or (may_be_input and variable.causality == "input")
         )
         if variable.causality != causality and not stands_in:
-            raise InputError(
-                f"{where}: {shortened(name)} is {variable.causality} in {self.path.name}, not {causality}; "
-                f"choose one of: {_listed(self.names(causality))}"
-            )
+            article = "an" if variable.causality[0] in "aeiou" else "a"
+            what = f"{shortened(name)} is {article} {variable.causality} of {self.path.name}, not {causality}"
+            # A state's start is a parameter only where the FMU declares one.
+            remedy = "to change its start, begin earlier (start_d), or " * (causality == "parameter")
+            raise InputError(f"{where}: {what}; {remedy}choose one of: {_listed(self.names(causality))}")
         if variable.is_out_of_reach:
             size = " x ".join(map(str, variable.shape))
             what = f"an array ({size})" if size else f"a {variable.kind}"

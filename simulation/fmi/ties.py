@@ -29,7 +29,7 @@ class Tie:
 
     Attributes:
         name: The parameter.
-        expression: What it is, in SI units.
+        expression: Its value as a formula of other parameters, in SI units.
         factors: Size of the unit of each parameter in the expression, by name. [SI]
         factor: Size of the parameter's own unit. [SI]
     """
@@ -57,7 +57,7 @@ def tie(name: str, expression: str, known: set[str], fmu: FmuDescription) -> Tie
 
     Args:
         name: The parameter that is tied.
-        expression: What it is.
+        expression: Its value as a formula of other parameters.
         known: Parameters that an expression may have: calibrated or held at a number.
         fmu: What the FMU says of itself.
 

@@ -112,11 +112,11 @@ class ExecutionPolicy:
             slowest_s: As for `limit_s`, when it began. [s]
         """
         if self.timeout_s is not None:
-            return f"{self.whose or 'simulation.timeout_s'} is {self.timeout_s:g} s"
+            return f"{self.whose or '[simulation] timeout_s'} stops it after {self.timeout_s:g} s"
         limit = f"{self.limit_s(slowest_s):.5g} s"
         if slowest_s is not None:
-            limit += f", {SLOWER:g} times the slowest before, at least {self.least_limit_s:g} s"
-        return f"without simulation.timeout_s it is stopped after {limit}"
+            limit += f" ({SLOWER:g} times the slowest one before, at least {self.least_limit_s:g} s)"
+        return f"it is stopped after {limit}; [simulation] timeout_s sets another limit"
 
 
 def commonest(reasons: Sequence[str]) -> tuple[str, int]:

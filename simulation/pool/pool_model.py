@@ -443,8 +443,8 @@ class _Batch:
         model._has_warned = True
         which = f"row {rows.start}" if len(rows) == 1 else f"one of rows {rows.start} to {rows.stop - 1}"
         model._on_warning(
-            f"{which} has been running for {spent_s:.2g} s, opening the model included; does it wait for a "
-            f"licence? {model._policy.limit_in_words(slowest_s)}"
+            f"{which} has been running for {spent_s:.2g} s (with loading the model), which may be a wait for "
+            f"a licence; {model._policy.limit_in_words(slowest_s)}"
         )
 
 

@@ -98,8 +98,8 @@ class LeastSquaresTRF:
         """
         if problem.prior is not None and self.residuals == "squared":
             raise InputError(
-                'polishing: residuals = "squared" minimizes fourth powers, against which no prior can be '
-                'weighed; use "signed", or remove prior from the parameters'
+                'polishing: priors cannot be used with residuals = "squared"; use "signed", or remove prior '
+                "from the parameters"
             )
         recorder = Recorder(problem, phase="polish", max_calls=self.max_calls, on_progress=on_progress)
         if known is not None:

@@ -4,7 +4,7 @@ What happens: the command needs the case alone: no training set and no initial g
 the box of the parameters. Each further simulation is placed where the lowest error is expected. This
 prediction comes from the model's state equations or from a Gaussian process of all residuals so far. The
 search stops when it expects little gain, at the latest after --max-calls. With --target it goes on until
-that error, --max-calls, or until the state equations know no lower error. Each simulation is stored at
+the error is at most MSE, the budget is used up, or no lower error is expected. Each simulation is stored at
 once: after an interruption or a kill, the same command reads the stored ones and goes on. --parallel Q runs
 Q simulations per round, spread over --jobs: fewer rounds, but more calls. Results:
 mlruns/results/<label>/calibrate-adaptive.json and .npz, a run in MLflow, a page by studies report.

@@ -131,11 +131,11 @@ def unit_problem(values: FloatArray, unit: str) -> str:
     low, high = float(np.min(values)), float(np.max(values))
     span = f"{low:.4g} to {high:.4g} {unit}"
     if unit == "K" and low < COLDEST_K:
-        return f"{span} is very cold: rather degC"
+        return f"{span} is too cold: the values are probably in degC"
     if unit in ("degC", "°C") and low < COLDEST_DEGC:
-        return f"{span} is very cold: 273.15 may be taken off twice"
+        return f"{span} is too cold: a value is probably in degC where K is expected"
     if unit in ("degC", "°C") and LIKE_KELVIN[0] < low and high < LIKE_KELVIN[1]:
-        return f"{span} is very hot: rather K"
+        return f"{span} is too hot: the values are probably in K"
     return ""
 
 

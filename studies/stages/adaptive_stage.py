@@ -76,7 +76,7 @@ def adaptive_stage(
         again: calibrate though it is finished, with what is stored now.
 
     Raises:
-        InputError: the budget does not hold the first design, or the FMU does not show its states.
+        InputError: the budget is smaller than the first design, or the FMU does not show its states.
     """
     learns = are_state_equations_learnt(task.case, state_equations)
     settings = Adaptive.for_sensor(
@@ -126,14 +126,14 @@ def adaptive_stage(
 
 
 def _check_budget(settings: Adaptive, n_parameters: int, *, learns: bool) -> None:
-    """Refuse a budget that does not hold the rows that a calibration begins with."""
+    """Refuse a budget that is smaller than the first design of a calibration."""
     n_design = settings.design_size(n_parameters)
     n_start = min(n_design, LEAST_CALLS) if learns else n_design
     if settings.max_calls < n_start:
-        what = "the first design" if n_start == n_design else "the least"
         raise InputError(
-            f"--max-calls {settings.max_calls} does not hold {what} of {n_start} simulations for "
-            f"{count(n_parameters, 'parameter')}; give {2 * n_start} or more"
+            f"--max-calls {settings.max_calls} must be at least {n_start}: with "
+            f"{count(n_parameters, 'parameter')} the search begins with {n_start} simulations; better "
+            f"{2 * n_start} or more"
         )
 
 

@@ -61,9 +61,8 @@ def refuse_other_case(task: Task) -> None:
         if other is None or other.resolve() == case.path.resolve() or _name_in(other) != case.name:
             continue
         raise InputError(
-            f'{paths.show(case.path)}: name = "{case.name}" is also that of {paths.show(other)}, whose '
-            f"results {paths.show(task.results)} holds; give one of the two another name, or move that "
-            "folder away"
+            f'two case files have the name "{case.name}": {paths.show(case.path)} and {paths.show(other)}, '
+            f"whose results are in {paths.show(task.results)}; rename one case, or move that folder away"
         )
 
 

@@ -1,7 +1,7 @@
 """What the terminal shows of calibrations and their uncertainty: tables and sentences of the page."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from studies.calibration.search.misfit_threshold import SENSOR_UNCERTAINTIES
 from studies.reporting.sentences import calibration_sentences, headline, uncertainty_sentences
@@ -44,10 +44,23 @@ def show_calibrations(task: Task, outcomes: Sequence[Outcome[Calibration]]) -> N
         console.show([parameters_table(case, found)])
     if case.note:
         console.result(f"Note: {case.note}")
-    if found.is_adaptive:
-        console.result(f"Pictures: studies report {task.command}")
+    steps = "\n".join(f"  {n}. {step}" for n, step in enumerate(_next_steps(task, found), start=1))
+    console.result(f"next:\n{steps}")
+
+
+def _next_steps(task: Task, found: Calibration) -> Iterator[str]:
+    """Say what to do after a calibration."""
+    judged, most = found.determined_by_data, found.settings.get("max_calls")
+    if not found.converged and isinstance(most, int) and found.n_calls_paper >= most:
+        yield f"go on with the search: studies calibrate {task.command} --max-calls {2 * most}"
+    if judged is not None and judged.open:
+        yield "not all parameters are determined: fix some under [fixed], give priors, or measure more"
     which = "" if found.is_adaptive else f" --n-train {found.n_train}"
-    console.result(f"How sure it is: studies uncertainty {task.command}{which}")
+    yield f"intervals of the parameters: studies uncertainty {task.command}{which}"
+    if found.is_adaptive:
+        yield f"pictures: studies report {task.command}"
+    if math.isfinite(found.mse):
+        yield f"values for other programs: studies best {task.label} --write ssv"
 
 
 def _show_search(task: Task, found: Calibration) -> None:
@@ -65,7 +78,7 @@ def _show_search(task: Task, found: Calibration) -> None:
 
 def _misfit(task: Task, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
-    of_the_step, lacks = found_of_the_step(task), "the model lacks something"
+    of_the_step, lacks = found_of_the_step(task), "the model misses an effect"
     if any(one.loss for one in task.case.outputs):
         lacks = f"outliers weigh so much, or {lacks}"
     if of_the_step:
@@ -80,7 +93,7 @@ def _misfit(task: Task, found: Calibration) -> str:
         who = "state equations know of" if found.believes_equations else "surrogate expects"
         return f"the {who} no better minimum within the bounds: {lacks}, or a bound is in the way"
     more = "more --max-calls, " if isinstance(most, int) and found.n_calls_paper >= most else ""
-    return f"another minimum may be better, or {lacks}; try {more}another --seed, or studies run"
+    return f"there may be a better minimum, or {lacks}; try {more}another --seed, or studies run"
 
 
 def show_uncertainty(task: Task, found: Uncertainty) -> None:

@@ -157,7 +157,7 @@ def test_an_error_that_is_too_large_stops_a_search_as_early_and_is_named(ended: 
     assert not large.converged
     assert large.n_calls == ended.n_calls < 60
     assert "more than the sensor's uncertainty explains" in large.stop_reason
-    assert "the model lacks something" in large.left
+    assert "the model misses an effect" in large.left
 
 
 def test_an_error_that_is_too_large_is_no_convergence_where_valleys_may_hide() -> None:
@@ -165,7 +165,7 @@ def test_an_error_that_is_too_large_is_no_convergence_where_valleys_may_hide() -
         problem_on(Waves(), np.array([1.3]), noise=0.1), seed=0
     )
     assert not found.converged
-    assert "another minimum may be better" in found.left
+    assert "there may be a better minimum" in found.left
 
 
 def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated() -> None:

@@ -100,7 +100,7 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
 def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
     precise = ("uncertainty = 0.05", "uncertainty = 0.01")
     edit(project / WALL, precise, ("communication_step_s = 60 ", "communication_step_s = 600 "))
-    lacks = "the model lacks something"
+    lacks = "the model misses an effect"
     unexamined = " ".join(studies("calibrate", "wall", "--jobs", "1", "--max-calls", "20").out.split())
     assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in unexamined
     assert studies("check", "wall", "--profile", "quick", "-q").code == 0

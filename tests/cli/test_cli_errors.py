@@ -96,12 +96,12 @@ def test_an_fmu_with_a_damaged_binary_is_refused(project: Path, studies: Run) ->
         ),
         pytest.param(
             ["calibrate", "--max-calls", "4"],
-            ["does not hold the least of 5 simulations"],
+            ["must be at least 5: with 14 parameters the search begins with 5"],
             id="too-few-calls",
         ),
         pytest.param(
             ["calibrate", "--no-state-equations", "--max-calls", "13"],
-            ["does not hold the first design of 14 simulations"],
+            ["must be at least 14: with 14 parameters the search begins with 14"],
             id="too-few-calls-for-the-design",
         ),
         pytest.param(

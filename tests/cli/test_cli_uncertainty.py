@@ -142,7 +142,10 @@ def test_where_rows_are_stored_and_no_result_it_goes_on_and_simulates_nothing_tw
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--max-calls", "20"), "does not hold 14 differences (7 parameters) and a sample of 16; give 30"),
+        (
+            ("--max-calls", "20"),
+            "must be at least 30: 14 simulations for the slopes of 7 parameters, and a sample of 16",
+        ),
         (
             ("--method", "paper"),
             "there is adaptive; type: studies calibrate wall --method paper",

@@ -195,14 +195,16 @@ def test_a_healthy_model_whose_simulation_takes_longer_than_the_check_is_sound(p
 def test_the_first_simulation_has_the_time_that_the_case_gives_it() -> None:
     policy = TimeBudget(1, False, None).first_policy(ExecutionPolicy())
     assert policy.limit_s(None) == FIRST_LIMIT_S == 86_400.0
-    assert policy.limit_in_words(None) == "without simulation.timeout_s it is stopped after 86400 s"
+    assert policy.limit_in_words(None) == (
+        "it is stopped after 86400 s; [simulation] timeout_s sets another limit"
+    )
     given = TimeBudget(1, False, 7.0).first_policy(ExecutionPolicy(timeout_s=7.0))
-    assert given.limit_in_words(None) == "simulation.timeout_s is 7 s"
+    assert given.limit_in_words(None) == "[simulation] timeout_s stops it after 7 s"
 
 
 def test_a_limit_of_the_check_is_not_said_to_be_the_case_s() -> None:
     later = TimeBudget(1, False, None, simulation_s=0.5).policy(ExecutionPolicy())
-    assert later.limit_in_words(0.5) == "the limit of this check is 15 s"
+    assert later.limit_in_words(0.5) == "the limit of this check stops it after 15 s"
     assert later.why_stopped(0.5) == "did not answer within 15 s and was stopped (the limit of this check)"
     assert TimeBudget(1, True, None, simulation_s=0.5).policy(ExecutionPolicy()).timeout_s is None
 

@@ -63,7 +63,7 @@ def test_an_initial_state_can_be_calibrated_and_fixed(decay_case: Path):
 
 def test_a_state_whose_start_is_computed_is_no_parameter(decay_case: Path):
     describe(decay_case, local(b""))
-    with pytest.raises(InputError, match=r"fixed\.x0: x0 is local in decay\.fmu, not parameter"):
+    with pytest.raises(InputError, match=r"fixed\.x0: x0 is a local of decay\.fmu, not parameter"):
         load_case(decay_case)
 
 

@@ -72,7 +72,7 @@ def test_an_input_is_calibrated_as_a_constant(decay_case: Path):
     np.testing.assert_allclose(warm - cold, expected, atol=1e-9)
     both = text.replace("[fixed]", constant + "[fixed]")
     (decay_case / "case.toml").write_text(both)
-    with pytest.raises(InputError, match=r"inputs\[u\] is also under \[\[parameters\]\]; drop one"):
+    with pytest.raises(InputError, match=r"inputs\[u\] is also in \[\[parameters\]\]; keep"):
         load_case(decay_case)
 
 

@@ -77,5 +77,5 @@ def test_a_parameter_is_not_tied_and_calibrated(tmp_path: Path) -> None:
     folder = tied(tmp_path / "tied", "G12")
     edit(folder, ("[tied]\nG23", "[tied]\nG12"))
 
-    with pytest.raises(InputError, match=r"tied.G12: G12 is also under \[\[parameters\]\]"):
+    with pytest.raises(InputError, match=r"tied.G12: G12 is both under \[tied\] and \[\[parameters\]\]"):
         load_case(folder)

@@ -67,11 +67,12 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "fixed and calibrated": (
         toml("[fixed]", "[fixed]\nk = 1e-4"),
-        r"fixed\.k: k is also under \[\[parameters\]\]",
+        r"fixed\.k: k is both in \[\[parameters\]\] and under \[fixed\]",
     ),
     "wrong causality": (
         toml('name = "mode"', 'name = "y"'),
-        r"parameters\[y\]: y is output in decay\.fmu, not parameter; choose one of: k, x0, mode",
+        r"parameters\[y\]: y is an output of decay\.fmu, not parameter; to change its start, begin earlier "
+        r"\(start_d\), or choose one of: k, x0, mode",
     ),
     "input left out": (
         toml(
@@ -91,8 +92,8 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "empty cell of an input": (
         csv(r"^(36000,[^,]*),.*$", r"\1,"),
-        r"recording\.csv: line 22: heating has no value from 34200 to 37800 s; fill the gap, or let "
-        r"inputs\[u\] bridge it with max_gap_s = 3600$",
+        r"recording\.csv: line 22: heating has no value from 34200 to 37800 s; fill the gap, or write "
+        r"max_gap_s = 3600 for inputs\[u\], which interpolates$",
     ),
     "unsorted": (csv(r"^3600,", "900,"), r"line 4: time_s = 900 comes before the line above \(1800\); sort"),
     "no binary": (

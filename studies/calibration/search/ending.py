@@ -94,7 +94,7 @@ def left(state: SearchState) -> str:
     if len(state.unasked) or rows.n < rows.n_first:
         return "the first simulations are not finished; a larger --max-calls goes on with them"
     if state.is_too_large and state.is_tried:
-        return "another minimum may be better, or the model lacks something; try another seed"
+        return "there may be a better minimum, or the model misses an effect; try another --seed"
     if not rows.window.is_whole:
         return "so far only the first part of the window is fitted; a larger --max-calls fits the rest"
     if state.is_at_best and not state.region.is_whole:
@@ -117,7 +117,7 @@ def still_owed(known: Confirmation, ftol: float) -> str:
     if known.is_tested and known.has_looked:
         return (
             f"a gain of up to {_percent(known.promised)} of the error is not excluded beside it within "
-            "the bounds; try another seed"
+            "the bounds; try another --seed"
         )
     owed = known.n_owed
     tests = f"{min(known.n_tested, owed + 1)} of {owed + 1} rounds of checks"

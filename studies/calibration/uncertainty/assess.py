@@ -101,8 +101,8 @@ def sampling_within(max_calls: int, n_parameters: int) -> Sampling:
     n_differences, least = 2 * n_parameters, 2 * Sampling.n_batch
     if max_calls < n_differences + least:
         raise InputError(
-            f"--max-calls {max_calls} does not hold {n_differences} differences ({n_parameters} parameters) "
-            f"and a sample of {least}; give {n_differences + least} or more"
+            f"--max-calls {max_calls} must be at least {n_differences + least}: {n_differences} simulations "
+            f"for the slopes of {n_parameters} parameters, and a sample of {least}"
         )
     return Sampling(max_calls=max_calls - n_differences)
 
