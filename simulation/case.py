@@ -13,6 +13,7 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
+from simulation.case_meters import inputs_as_means, outputs_as_means
 from simulation.case_parts import (
     check_inputs,
     constraints,
@@ -306,6 +307,7 @@ def _single(
     with errors_at(path):
         fmu = with_units(fmu, _said_units(file))
         data = on_one_axis(file, recordings)
+        file, data = outputs_as_means(inputs_as_means(file, fmu), fmu, data)
         plain = plain_period(file, window_d)
         stepped = file
         if communication_step_s is not None:

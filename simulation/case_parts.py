@@ -110,11 +110,11 @@ def input_values(
     inputs, at_edges = (np.zeros((n, len(file.inputs))) for n in (len(edges) - 1, len(edges)))
     for k, (table, change) in enumerate(zip(file.inputs, changes, strict=True)):
         with errors_at(f"inputs[{table.name}]"):
-            variable, how = fmu.variables[table.name], table.interpolation
+            variable, how = fmu.variables[table.name], table.course
             if variable.kind not in REAL_KINDS and how != "held":
                 raise InputError(
-                    f'interpolation = "{how}", but the FMU\'s {table.name} is of type {variable.kind} and '
-                    'knows nothing in between; write interpolation = "held"'
+                    f'interpolation = "{table.interpolation}", but the FMU\'s {table.name} is of type '
+                    f'{variable.kind} and knows nothing in between; write interpolation = "held"'
                 )
             for column, weight in table.weights.items():
                 time, values = data.input_series(table, column, edges)
