@@ -110,9 +110,13 @@ class CaseData:
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
             # The line after the last value: its cell is empty, or its time is too late.
             line = int(np.flatnonzero(known)[row]) + 1 + recording.first_line
+            written = ""
+            if recording.clock != "seconds" and recording.stamps:
+                first, last = (recording.stamps[one] for one in np.flatnonzero(known)[[row, row + 1]])
+                written = f" ({first} to {last})"
             raise InputError(
                 f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
-                f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "
+                f"{time[row + 1]:.12g} s{written}; fill the gap, or let inputs[{table.name}] bridge it with "
                 f"max_gap_s = {steps[row]:.12g}{_clock_hint(recording, float(steps[row]))}"
             )
         return time, values
@@ -186,6 +190,7 @@ def read_columns(
             time_column=file.time_column,
             timezone=file.timezone,
             stamps=file.stamps,
+            decimal=file.decimal,
             if_missing=if_missing,
             is_quoted=is_quoted(place_of(name)),
         )

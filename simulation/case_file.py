@@ -577,6 +577,8 @@ class CaseFile(Table):
         time_format: how timestamps are written, in codes of Python's strptime, as "%m/%d %H:%M:%S"; without
             it, ISO 8601 or day.month.year.
         year: year of timestamps that have none; without it, one of 365 days.
+        decimal: sign before the decimals in the CSV files, whose numbers may then have signs of thousands;
+            without it, it is found out.
         time: the window, steps and validation.
         inputs: inputs that recordings drive.
         outputs: outputs that are compared with measurements.
@@ -603,6 +605,7 @@ class CaseFile(Table):
     timezone: Name | None = None
     time_format: Name | None = None
     year: Annotated[int, Field(ge=1, le=9998)] | None = None
+    decimal: Literal[".", ","] | None = None
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]

@@ -142,7 +142,9 @@ def _rate(
         )
     mine, theirs = in_si(unit, fmu.units), in_si(variable.unit, fmu.units)
     if theirs is not None and theirs.offset:
-        raise InputError(f"{variable.unit} has a zero of its own, so its sums depend on it; write mean_over_s")
+        raise InputError(
+            f"{variable.unit} has a zero of its own, so its sums depend on it; write mean_over_s"
+        )
     if mine is None or theirs is None:
         unknown = unit if mine is None else variable.unit
         raise InputError(f'unit "{unknown}" is not known; give fmu_unit and unit as products of usual ones')
