@@ -12,6 +12,7 @@ from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.errors import InputError
 from simulation.recording import Recording, read_recording
 from simulation.scenario import covers
+from simulation.sheets import real_path
 from simulation.time_unit import HOURS
 from simulation.timestamps import FIRST, zero_of, zone_named
 from simulation.units import in_si
@@ -153,7 +154,7 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
     return read_columns(
         file,
         measured,
-        lambda name: Path(os.path.realpath(folder / name)),
+        lambda name: real_path(folder / name),
         file.data_origin,
         lambda place: place.is_relative_to(own) or follows_links(),
     )

@@ -75,6 +75,7 @@ def _into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> 
 
 def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
     """Check that every input of the FMU has one source: a recording, a value, or that it is calibrated."""
+    _check_arrays(file, fmu)
     driven, calibrated = [table.name for table in file.inputs], [table.name for table in file.parameters]
     for name in driven:
         for also, names in (("[fixed]", file.fixed), ("[[parameters]]", calibrated)):
@@ -87,6 +88,22 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
             raise InputError(
                 f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its start; "
                 "or hold it at a value under [fixed], or calibrate it under [[parameters]]"
+            )
+
+
+def _check_arrays(file: CaseFile, fmu: FmuDescription) -> None:
+    """Check that the elements of an array of inputs are all driven, or none: it is set as a whole."""
+    driven = {table.name for table in file.inputs}
+    arrays: dict[int, list[str]] = {}
+    for name in fmu.names("input"):
+        if fmu.variables[name].array:
+            arrays.setdefault(fmu.variables[name].reference, []).append(name)
+    for names in arrays.values():
+        others = [name for name in names if name not in driven]
+        if 0 < len(others) < len(names):
+            raise InputError(
+                f"the FMU's inputs {names[0]} to {names[-1]} are one array, which is set as a whole; drive "
+                f"all of it by [[inputs]], also {others[0]}"
             )
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import zipfile
 from collections.abc import Collection
 from datetime import datetime
@@ -21,6 +22,13 @@ def without_sheet(name: str) -> tuple[str, str]:
     """Take the name of a sheet off the name of a file, as of "runs.xlsx#Batch 2"; "" where there is none."""
     at = name.lower().find(_OF_SHEET)
     return (name, "") if at < 0 else (name[: at + len(_OF_SHEET) - 1], name[at + len(_OF_SHEET) :])
+
+
+def real_path(path: Path) -> Path:
+    """Return where a recording lies, links followed, with the name of its sheet."""
+    name, sheet = without_sheet(path.name)
+    found = Path(os.path.realpath(path.with_name(name)))
+    return found.with_name(f"{found.name}#{sheet}") if sheet else found
 
 
 def as_csv(
