@@ -585,7 +585,8 @@ class CaseFile(Table):
         parameters: parameters that are calibrated.
         fixed: values of other parameters, inputs and initial states, by name.
         tied: parameters that follow from others, by name: `R2 = "3 * R1"`, in SI units.
-        constraints: pairs of calibrated parameters, as "R1 < R2"; every simulation keeps them.
+        constraints: pairs of calibrated parameters, as "R1 < R2", and sums of them, as "fA + fB <= 0.9";
+            every simulation keeps them.
         simulation: time-out and retries.
         references: known errors.
         experiments: several recordings instead of one.

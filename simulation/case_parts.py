@@ -1,5 +1,6 @@
 """From the tables of a case file to parts that agree with the FMU; every contradiction is found here."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -17,9 +18,10 @@ from simulation.case_file import (
 )
 from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.ties import Tie, tie
+from simulation.fmi.ties import Tie, sum_limit, tie
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_text import quoted, shortened
+from simulation.parameters import SumLimit
 from simulation.scenario import values_at_edges, values_over_steps
 from simulation.units import Conversion, conversion
 
@@ -159,18 +161,22 @@ def ties(file: CaseFile, fmu: FmuDescription) -> tuple[Tie, ...]:
     return tuple(tie(name, expression, known, fmu) for name, expression in file.tied.items())
 
 
-def constraints(file: CaseFile) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of parameters of which the first one stays at or below the second one.
+def constraints(file: CaseFile) -> tuple[tuple[tuple[str, str], ...], tuple[SumLimit, ...]]:
+    """Return the pairs of parameters of which the first one stays at or below the second one, and the sums.
 
     Raises:
-        InputError: If one is no pair, has other names, or meets a prior or an estimate that it contradicts.
+        InputError: If one is neither, has other names, or meets a prior or an estimate that it contradicts.
     """
-    tables, pairs = {table.name: table for table in file.parameters}, []
+    tables = {table.name: table for table in file.parameters}
+    pairs, sums = list[tuple[str, str]](), list[SumLimit]()
     for text in file.constraints:
-        where, parts = f"constraints: {quoted(text)}", [part.strip() for part in text.split("<")]
-        if len(parts) != 2 or "" in parts or parts[0] == parts[1]:
-            raise InputError(f'{where} is no pair; write "R1 < R2" with two parameters')
-        for name in parts:
+        where = f"constraints: {quoted(text)}"
+        parts = [part.strip() for part in text.split("<")]
+        # Names need be no words of an expression.
+        is_pair = len(parts) == 2 and all(part in tables for part in parts) and parts[0] != parts[1]
+        limit = SumLimit(((parts[0], 1.0), (parts[1], -1.0)), 0.0) if is_pair else sum_limit(text, where)
+        names = [name for name, _ in limit.terms]
+        for name in names:
             if name not in tables:
                 raise InputError(
                     f"{where}: {shortened(name)} is not calibrated; narrow the other one's bounds"
@@ -179,13 +185,30 @@ def constraints(file: CaseFile) -> tuple[tuple[str, str], ...]:
                 raise InputError(
                     f"{where}: {name} has a prior, which is of single parameters; drop one of the two"
                 )
-        small, large = (tables[name] for name in parts)
-        if small.unit != large.unit:
-            raise InputError(f"{where}: units are {small.unit} and {large.unit}; declare both in one unit")
-        if small.estimate is not None and large.estimate is not None and small.estimate > large.estimate:
+        units = list(dict.fromkeys(tables[name].unit for name in names))
+        if len(units) > 1:
+            raise InputError(f"{where}: units are {' and '.join(units)}; declare all in one unit")
+        estimates = [tables[name].estimate for name in names]
+        known = [estimate for estimate in estimates if estimate is not None]
+        weights = [weight for _, weight in limit.terms]
+        if len(known) == len(names) and np.dot(weights, known) > limit.most:
             raise InputError(f"{where}: the estimates break it; correct them")
-        pairs.append((small.name, large.name))
-    return tuple(pairs)
+        if limit.most == 0.0 and sorted(weights) == [-1.0, 1.0]:
+            small, large = sorted(names, key=lambda name: -dict(limit.terms)[name])
+            pairs.append((small, large))
+        else:
+            order = [*tables]
+            terms = tuple(sorted(limit.terms, key=lambda term: order.index(term[0])))
+            sums.append(SumLimit(terms, limit.most))
+    often = Counter(name for one in sums for name, _ in one.terms)
+    often.update({name for pair in pairs for name in pair})
+    for one in sums:
+        for name, _ in one.terms:
+            if often[name] > 1:
+                raise InputError(
+                    f"constraints: {name} is in a sum and in another constraint; keep one of them"
+                )
+    return tuple(pairs), tuple(sums)
 
 
 def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float) -> dict[str, Value]:

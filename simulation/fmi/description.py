@@ -121,6 +121,8 @@ class FmuDescription:
         usable = ("Real", "Float64") if causality == "output" else REAL_KINDS
         if variable.kind not in usable and not (causality == "input" and variable.dtype is not None):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
+            if causality == "parameter" and variable.kind != "String":
+                remedy += ", in a case for each value, and compare their errors"
             numbers = " or ".join(kind for kind in usable if kind in SETTERS[self.fmi_version])
             raise InputError(
                 f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"

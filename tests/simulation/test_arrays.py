@@ -115,7 +115,7 @@ def test_what_is_declared(tmp_path: Path) -> None:
     [
         (
             {"outputs": OUTPUT.format(name="y").replace('column = "y"', 'column = "y[1]"')},
-            r"has no output named y; did you mean y\[1\]\?",
+            r"has no output named y; it has: y\[1\], y\[2\]",
         ),
         ({"inputs": INPUT.format(name="u[1]")}, r"inputs u\[1\] to u\[2\] are one array.* also u\[2\]"),
         (
