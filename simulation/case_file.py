@@ -173,7 +173,7 @@ class InputTable(Table):
 
     Attributes:
         name: the input of the FMU.
-        file: CSV file in the folder `data`.
+        file: file in the folder `data`: CSV, Parquet, or a sheet of a workbook, as "runs.xlsx#Sheet".
         column: column of the file.
         sum: weight of each column, where an input is a weighted sum of columns.
         unit: unit of the column.
@@ -234,8 +234,11 @@ class OutputTable(Table):
         name: the output of the FMU.
         unit: unit of the column, and of all results.
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
-        file: CSV file in the folder `data`; an output with limits needs none.
+        file: file in the folder `data`: CSV, Parquet, or a sheet of a workbook, as "runs.xlsx#Sheet"; an
+            output with limits needs none.
         column: column of the file; an empty cell is a gap.
+        replicates: columns of replicates, in place of `column`: their mean is compared. Its standard
+            uncertainty is `uncertainty`, else what they differ by, by the square root of their number.
         mean_over_s: length of the interval that each sample is the mean over; without it, a sample is the
             value of a moment. Samples whose interval is not within the window are left out.
         sum_over_s: the same of sums, as kWh of an hour for an output in W: `unit` and `uncertainty` are those
@@ -270,6 +273,7 @@ class OutputTable(Table):
     fmu_unit: Name | None = None
     file: Name | None = None
     column: Name | None = None
+    replicates: Annotated[list[Name], Field(min_length=2)] | None = None
     mean_over_s: Positive | None = None
     sum_over_s: Positive | None = None
     starts_at: Literal["first"] | None = None
@@ -295,7 +299,11 @@ class OutputTable(Table):
             low, high = self.accepted
             raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
         self._check_uncertainty()
+        if self.replicates is not None and self.column is not None:
+            raise ValueError("replicates says what column says; drop one of them")
         missing = [key for key in ("file", "column") if getattr(self, key) is None]
+        if self.replicates is not None:
+            missing = missing[:-1]
         if len(missing) == 1:
             raise ValueError(f"key {missing[0]} is missing; add it")
         if missing:
@@ -336,7 +344,11 @@ class OutputTable(Table):
 
     def _check_uncertainty(self) -> None:
         """Check that it is said once how sure a sample is."""
-        if self.uncertainty_column is None and self.uncertainty is None:
+        if self.replicates is not None:
+            for key in ("uncertainty_column", "uncertainty_share", "normalize", "sum_over_s", "starts_at"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} beside replicates; write a column of their means instead")
+        elif self.uncertainty_column is None and self.uncertainty is None:
             raise ValueError("key uncertainty is missing; add it, or uncertainty_column")
         if self.uncertainty_column is not None:
             for key in ("uncertainty", "uncertainty_share"):
@@ -361,12 +373,13 @@ class OutputTable(Table):
     @property
     def source(self) -> tuple[str, str] | None:
         """File and column of the measurement, None where there is none."""
-        return None if self.file is None or self.column is None else (self.file, self.column)
+        column = f"the mean for {self.name}" if self.replicates else self.column
+        return None if self.file is None or column is None else (self.file, column)
 
     @property
     def columns(self) -> list[tuple[str, str]]:
         """File and column of all that is read for it."""
-        named = filter(None, (self.column, self.uncertainty_column))
+        named = filter(None, (self.column, self.uncertainty_column, *(self.replicates or ())))
         return [] if self.file is None else [(self.file, column) for column in named]
 
     @property

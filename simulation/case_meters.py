@@ -52,6 +52,19 @@ def outputs_as_means(file: CaseFile, fmu: FmuDescription, data: CaseData) -> tup
     """
     recordings, outputs = dict(data.recordings), list[OutputTable]()
     for table in file.outputs:
+        if table.source is not None and table.replicates is not None:
+            with errors_at(f"outputs[{table.name}]"):
+                name, recording = table.source[0], recordings[table.source[0]]
+                columns = _mean_of_replicates(table, recording)
+                recordings[name] = replace(recording, columns={**recording.columns, **columns})
+                mean, deviation = columns
+                change = {
+                    "column": mean,
+                    "replicates": None,
+                    "uncertainty": None,
+                    "uncertainty_column": deviation,
+                }
+                table = table.model_copy(update=change)
         if table.source is not None and (table.sum_over_s is not None or table.starts_at is not None):
             with errors_at(f"outputs[{table.name}]"):
                 name, recording = table.source[0], recordings[table.source[0]]
@@ -117,6 +130,31 @@ def _output_as_mean(
     own = recording.columns[table.uncertainty_column]
     uncertain = f"{table.uncertainty_column} for {table.name}"
     return change | {"uncertainty_column": uncertain}, {column: means, uncertain: own * scale}
+
+
+def _mean_of_replicates(table: OutputTable, recording: Recording) -> dict[str, FloatArray]:
+    """Return the mean of replicates, and its standard uncertainty. Shape (m,) each.
+
+    Where nothing is said of the uncertainty, all replicates count as equally sure: their deviation is pooled
+    over all times, as few at one time say little of it.
+    """
+    assert table.replicates is not None, "asked of an output with replicates"
+    assert table.source is not None, "asked of an output that is measured"
+    values = np.stack([recording.columns[name] for name in table.replicates])
+    known = ~np.isnan(values)
+    n = known.sum(axis=0)
+    mean = np.where(n > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(n, 1), np.nan)
+    deviation = table.uncertainty
+    if deviation is None:
+        freedom = int(np.maximum(n - 1, 0).sum())
+        squares = float(np.sum(np.where(known, values - mean, 0.0) ** 2))
+        if not (freedom > 0 and squares > 0.0):
+            raise InputError(
+                "replicates do not differ, so nothing is known of their uncertainty; add uncertainty"
+            )
+        deviation = math.sqrt(squares / freedom)
+    uncertain = np.where(n > 0, deviation / np.sqrt(np.maximum(n, 1)), np.nan)
+    return {table.source[1]: mean, f"{table.source[1]}, uncertainty": uncertain}
 
 
 def _rate(

@@ -120,8 +120,8 @@ def test_what_is_declared(tmp_path: Path) -> None:
         ({"inputs": INPUT.format(name="u[1]")}, r"inputs u\[1\] to u\[2\] are one array.* also u\[2\]"),
         (
             {"parameters": PARAMETER.format(name="walls", low=0, high=1, unit="1")},
-            r"parameters\[walls\]: walls is an array \(3\) of arrays.fmu, whose elements no case can use: its "
-            "size is a structural parameter",
+            r"parameters\[walls\]: walls is an array \(3\) of arrays.fmu, whose elements no case can use: "
+            "its size is a structural parameter",
         ),
     ],
 )
