@@ -333,6 +333,7 @@ class _Reader:
                     # Of a clock in a time zone, the same time twice is a row twice.
                     never_set = "; if this clock is never set forward or back, remove timezone = "
                     hint = f"{never_set}{timezone!r} from the case" if before != cell else ""
+            hint = hint or ", or give replicates a column each" * is_same
             column = name if name == TIME_COLUMN else f"column {name}"
             raise InputError(
                 f"line {self._line(row + 1)}: {column} = {shortened(cell)} {said} the line above "
