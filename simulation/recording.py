@@ -321,10 +321,7 @@ class _Reader:
         for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
             before, cell = cells[row], cells[row + 1]
             is_same = bool(time[row + 1] == time[row])
-            said, hint = (
-                "repeats" if is_same else "comes before",
-                ", or give replicates a column each" * is_same,
-            )
+            said, hint = "repeats" if is_same else "comes before", ""
             if stamps and time[row] - time[row + 1] <= 3600.0:
                 hint = (
                     "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
