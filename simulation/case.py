@@ -13,6 +13,7 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
+from simulation.case_meters import inputs_as_means, outputs_as_means
 from simulation.case_parts import (
     check_inputs,
     constraints,
@@ -34,7 +35,7 @@ from simulation.foreign_text import shortened
 from simulation.layout import MARK, Experiment, Layout, joined_measurement
 from simulation.measurement import MeasuredOutput, Measurement
 from simulation.named_files import NamedFiles, named_files
-from simulation.parameters import Parameter, ParameterSpace
+from simulation.parameters import Parameter, ParameterSpace, SumLimit
 from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
 from simulation.time_unit import DAY_S
@@ -148,7 +149,8 @@ class Case:
         if self.layout is not None:
             return digest_of(self._joined("digest"), space.lower, space.upper)
         steps_s = (self.communication_step_s, self.output_step_s)
-        kept = {"constraints": space.constraints} if space.constraints else {}
+        kept: dict[str, Any] = {"constraints": space.constraints} if space.constraints else {}
+        kept |= {"sums": space.sums} if space.sums else {}
         named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s} | kept)
         return digest_of(named, space.lower, space.upper, scenario.time_communication, *scenario.driving)
 
@@ -184,6 +186,7 @@ class Case:
             {
                 "parameters": self.parameter_space.names,
                 "constraints": self.parameter_space.constraints,
+                **({"sums": self.parameter_space.sums} if self.parameter_space.sums else {}),
                 "experiments": [
                     (one.name, one.parameters.tolist(), getattr(case, digest)) for one, case in self.members
                 ],
@@ -306,6 +309,7 @@ def _single(
     with errors_at(path):
         fmu = with_units(fmu, _said_units(file))
         data = on_one_axis(file, recordings)
+        file, data = outputs_as_means(inputs_as_means(file, fmu), fmu, data)
         plain = plain_period(file, window_d)
         stepped = file
         if communication_step_s is not None:
@@ -354,7 +358,15 @@ def _of_experiments(cases: Mapping[str, Case], read: Sequence[ReadExperiment]) -
         for one in read
         for small, large in cases[one.name].parameter_space.constraints
     )
-    space = ParameterSpace(tuple(parameters), tuple(pairs))
+    sums = dict.fromkeys(
+        SumLimit(
+            tuple((parameters[columns[one.name, name]].name, weight) for name, weight in limit.terms),
+            limit.most,
+        )
+        for one in read
+        for limit in cases[one.name].parameter_space.sums
+    )
+    space = ParameterSpace(tuple(parameters), tuple(pairs), tuple(sums))
     case = _joined(space, cases, calibrated, columns)
     held_out = [one for one in read if one.is_held_out]
     return replace(case, validation=_joined(space, cases, held_out, columns)) if held_out else case
@@ -411,7 +423,7 @@ def _said_units(file: CaseFile) -> dict[str, str]:
 
 def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, period: Period) -> Case:
     """Build the case whose measurement is that of a period."""
-    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters), constraints(file))
+    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters), *constraints(file))
     parameters = conversions(fmu, "parameter", file.parameters)
     inputs = conversions(fmu, "input", file.inputs)
     check_inputs(file, fmu)

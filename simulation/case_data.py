@@ -12,6 +12,7 @@ from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.errors import InputError
 from simulation.recording import Recording, read_recording
 from simulation.scenario import covers
+from simulation.sheets import real_path
 from simulation.time_unit import HOURS
 from simulation.timestamps import FIRST, zero_of, zone_named
 from simulation.units import in_si
@@ -52,6 +53,8 @@ class CaseData:
                 f"{table.name} is measured as means over {table.mean_over_s:g} s, which say nothing of the "
                 "start; give a number"
             )
+        if table.starts_at is not None:
+            raise InputError(f"{table.name} is measured by a counter that had run before; give a number")
         file, column = table.source
         recording = self.recordings[file]
         known = np.flatnonzero(~np.isnan(recording.columns[column]))
@@ -82,8 +85,14 @@ class CaseData:
         """
         recording = self.recordings[table.file]
         known = ~np.isnan(recording.columns[column])
-        time, values = recording.time[known], recording.columns[column][known]
-        if len(time) < 2 or not covers(time, edges, table.interpolation):
+        # A mean is good from the begin of its interval on.
+        time, values = recording.time[known] + table.interval[0], recording.columns[column][known]
+        if table.mean_over_s is not None and abs(recording.step_s / table.mean_over_s - 1.0) > 1e-3:
+            raise InputError(
+                f"{recording.path} has a value every {recording.step_s:.12g} s, and each is said to go over "
+                f"{table.mean_over_s:g} s; means of an input have to follow each other"
+            )
+        if len(time) < 2 or not covers(time, edges, table.course):
             held = f"covers {time[0]:.12g} to {time[-1]:.12g} s" if len(time) else "is empty"
             remedy = "choose another window, or record longer"
             if len(time) and (time[0] > edges[-1] or time[-1] < edges[0]):
@@ -95,7 +104,8 @@ class CaseData:
             raise InputError(f"{recording.path} {held}, {needs}; {remedy}")
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         # A held value is needed until the window ends, the others as far as the next sample.
-        ends = np.minimum(time[1:], edges[-1]) if table.interpolation == "held" else time[1:]
+        is_held = table.course in ("held", "spread")
+        ends = np.minimum(time[1:], edges[-1]) if is_held else time[1:]
         steps = ends - time[:-1]
         is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
@@ -103,7 +113,7 @@ class CaseData:
             before, after = np.flatnonzero(known)[[row, row + 1]].tolist()
             line = before + 1 + recording.first_line
             gap = f"{time[row]:.12g} to {time[row + 1]:.12g} s"
-            if recording.clock != "seconds":
+            if recording.clock != "seconds" and recording.stamps:
                 gap = f"{recording.stamps[before]} to {recording.stamps[after]} ({steps[row]:.12g} s)"
             raise InputError(
                 f"{recording.path}: line {line}: {column} has no value from {gap}; "
@@ -144,7 +154,7 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
     return read_columns(
         file,
         measured,
-        lambda name: Path(os.path.realpath(folder / name)),
+        lambda name: real_path(folder / name),
         file.data_origin,
         lambda place: place.is_relative_to(own) or follows_links(),
     )
@@ -181,6 +191,7 @@ def read_columns(
             time_column=file.time_column,
             timezone=file.timezone,
             stamps=file.stamps,
+            decimal=file.decimal,
             if_missing=if_missing,
             is_quoted=is_quoted(place_of(name)),
         )

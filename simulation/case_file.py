@@ -13,6 +13,7 @@ from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter, Scale
 from simulation.robust_loss import USUAL_SCALE, LossKind, RobustLoss
 from simulation.samples import MOMENT
+from simulation.scenario import Interpolation
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
 from simulation.timestamps import StampForm, zone_named
 
@@ -141,17 +142,47 @@ class TimeTable(_WindowTable):
         return self.start_d if self.start_s is None else SECONDS.to_days(self.start_s)
 
 
+Stamp = Literal["end", "begin", "centre"]
+
+
+def _one_length(table: "InputTable | OutputTable") -> float | None:
+    """Return over how long samples go, None for moments. [s].
+
+    Raises:
+        ValueError: If it is said twice, or what of it a time is and not how long it is.
+    """
+    if table.mean_over_s is not None and table.sum_over_s is not None:
+        raise ValueError("a sample is a mean or a sum; drop mean_over_s or sum_over_s")
+    length_s = table.mean_over_s or table.sum_over_s
+    if table.mean_stamp != "end" and length_s is None:
+        raise ValueError("mean_stamp is of means; add mean_over_s, how long each of them goes, or drop it")
+    return length_s
+
+
+def _interval(length_s: float | None, stamp: Stamp) -> tuple[float, float]:
+    """Return from when on and until when a sample says something, relative to its time. [s]."""
+    if length_s is None:
+        return MOMENT
+    # What of the interval lies after the stamp.
+    after_s = {"end": 0.0, "begin": 1.0, "centre": 0.5}[stamp] * length_s
+    return after_s - length_s, after_s
+
+
 class InputTable(Table):
     """Key [[inputs]]: where an FMU input comes from; either `column` or `sum` is given.
 
     Attributes:
         name: the input of the FMU.
-        file: CSV file in the folder `data`.
+        file: file in the folder `data`: CSV, Parquet, or a sheet of a workbook, as "runs.xlsx#Sheet".
         column: column of the file.
         sum: weight of each column, where an input is a weighted sum of columns.
         unit: unit of the column.
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
         interpolation: between two samples: held (switches, setpoints), linear or smooth (weather).
+        mean_over_s: length of the interval that each sample is the mean over: it is held over that interval,
+            or smooth with the same mean; without it, a sample is the value of a moment.
+        sum_over_s: the same of sums, as kWh of an hour for an input in W: `unit` is that of the sum.
+        mean_stamp: what of the interval the time of a sample is: its end, begin or centre.
         max_gap_s: longest gap that is bridged; without it, a gap is an error.
     """
 
@@ -162,13 +193,33 @@ class InputTable(Table):
     unit: Line
     fmu_unit: Name | None = None
     interpolation: Literal["held", "linear", "smooth"]
+    mean_over_s: Positive | None = None
+    sum_over_s: Positive | None = None
+    mean_stamp: Stamp = "end"
     max_gap_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _agrees_with_itself(self) -> Self:
         if (self.column is None) == (not self.sum):
             raise ValueError("give either column or sum, not both and not neither")
+        length_s = _one_length(self)
+        if length_s is not None and self.interpolation == "linear":
+            raise ValueError('interpolation = "linear" between means changes them; write "held" or "smooth"')
         return self
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """From when on and until when a sample says something, relative to its time. [s]."""
+        return _interval(self.mean_over_s, self.mean_stamp)
+
+    @property
+    def course(self) -> Interpolation:
+        """What the input is between two samples."""
+        return (
+            "spread"
+            if self.mean_over_s is not None and self.interpolation == "smooth"
+            else self.interpolation
+        )
 
     @property
     def weights(self) -> dict[str, float]:
@@ -183,10 +234,19 @@ class OutputTable(Table):
         name: the output of the FMU.
         unit: unit of the column, and of all results.
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
-        file: CSV file in the folder `data`; an output with limits needs none.
+        file: file in the folder `data`: CSV, Parquet, or a sheet of a workbook, as "runs.xlsx#Sheet"; an
+            output with limits needs none.
         column: column of the file; an empty cell is a gap.
+        replicates: columns of replicates, in place of `column`: their mean is compared. Its standard
+            uncertainty is `uncertainty`, else what they differ by, by the square root of their number.
         mean_over_s: length of the interval that each sample is the mean over; without it, a sample is the
             value of a moment. Samples whose interval is not within the window are left out.
+        sum_over_s: the same of sums, as kWh of an hour for an output in W: `unit` and `uncertainty` are those
+            of the sum; results are means, in the FMU's unit.
+        starts_at: "first" where the column is a counter, as of energy, that had run before: what it counts
+            from its first value in the window on is compared.
+        wraps_at: where such a counter begins at 0 again. [unit]
+        on_change: whether a value is recorded only when it changes; it then holds until the next one.
         mean_stamp: what of the interval the time of a sample is: its end, begin or centre.
         uncertainty: standard uncertainty of the sensor; without one, of the limits. [unit]
         uncertainty_column: column of the file with the standard uncertainty of each sample, in place of
@@ -213,8 +273,13 @@ class OutputTable(Table):
     fmu_unit: Name | None = None
     file: Name | None = None
     column: Name | None = None
+    replicates: Annotated[list[Name], Field(min_length=2)] | None = None
     mean_over_s: Positive | None = None
-    mean_stamp: Literal["end", "begin", "centre"] = "end"
+    sum_over_s: Positive | None = None
+    starts_at: Literal["first"] | None = None
+    wraps_at: Positive | None = None
+    on_change: bool = False
+    mean_stamp: Stamp = "end"
     uncertainty: Positive | None = None
     uncertainty_column: Name | None = None
     uncertainty_share: Positive | None = None
@@ -234,7 +299,11 @@ class OutputTable(Table):
             low, high = self.accepted
             raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
         self._check_uncertainty()
+        if self.replicates is not None and self.column is not None:
+            raise ValueError("replicates says what column says; drop one of them")
         missing = [key for key in ("file", "column") if getattr(self, key) is None]
+        if self.replicates is not None:
+            missing = missing[:-1]
         if len(missing) == 1:
             raise ValueError(f"key {missing[0]} is missing; add it")
         if missing:
@@ -247,17 +316,39 @@ class OutputTable(Table):
             raise ValueError("correlation_time_s says what error_lasts_s says, and more; drop error_lasts_s")
         if self.correlation_time_s is not None and self.loss != "squares":
             raise ValueError("correlation_time_s beside a robust loss: outliers spoil two samples; drop one")
-        if self.mean_stamp != "end" and self.mean_over_s is None:
-            raise ValueError(
-                "mean_stamp is of means; add mean_over_s, how long each of them goes, or drop it"
-            )
+        self._check_samples()
         if self.loss_scale is not None and self.loss == "squares":
             raise ValueError('loss_scale has no robust loss; add loss = "huber" or "soft-l1", or drop it')
         return self
 
+    def _check_samples(self) -> None:
+        """Check that it is said once what a sample stands for."""
+        kinds = {
+            "mean_over_s": self.mean_over_s,
+            "sum_over_s": self.sum_over_s,
+            "starts_at": self.starts_at,
+            "on_change": self.on_change or None,
+        }
+        said = [key for key, value in kinds.items() if value is not None]
+        if len(said) > 1:
+            raise ValueError(f"{said[0]} beside {said[1]}: a sample stands for one of them; drop the other")
+        _one_length(self)
+        if self.wraps_at is not None and self.starts_at is None:
+            raise ValueError('wraps_at is of a counter; add starts_at = "first", or drop it')
+        if self.sum_over_s is not None or self.starts_at is not None:
+            for key in ("at_least", "at_most", "accepted", "loss_scale", "normalize"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} beside {said[0]} has no clear unit; drop it")
+        if self.starts_at is not None and self.uncertainty_share is not None:
+            raise ValueError("uncertainty_share of a counter grows with what it counted before; drop it")
+
     def _check_uncertainty(self) -> None:
         """Check that it is said once how sure a sample is."""
-        if self.uncertainty_column is None and self.uncertainty is None:
+        if self.replicates is not None:
+            for key in ("uncertainty_column", "uncertainty_share", "normalize", "sum_over_s", "starts_at"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} beside replicates; write a column of their means instead")
+        elif self.uncertainty_column is None and self.uncertainty is None:
             raise ValueError("key uncertainty is missing; add it, or uncertainty_column")
         if self.uncertainty_column is not None:
             for key in ("uncertainty", "uncertainty_share"):
@@ -274,9 +365,9 @@ class OutputTable(Table):
         """Check an output that is not measured."""
         if not self.has_limits:
             raise ValueError("keys file and column are missing; add them, or a limit: at_most = ...")
-        of_samples = ("uncertainty_column", "uncertainty_share")
+        of_samples = ("uncertainty_column", "uncertainty_share", "sum_over_s", "starts_at", "on_change")
         for key in ("error_lasts_s", "correlation_time_s", "mean_over_s", *of_samples):
-            if getattr(self, key) is not None:
+            if getattr(self, key) not in (None, False):
                 raise ValueError(f"{key} is of a sensor, and nothing is measured; drop it")
         if isinstance(self.normalize, str):
             raise ValueError(
@@ -286,22 +377,19 @@ class OutputTable(Table):
     @property
     def source(self) -> tuple[str, str] | None:
         """File and column of the measurement, None where there is none."""
-        return None if self.file is None or self.column is None else (self.file, self.column)
+        column = f"the mean for {self.name}" if self.replicates else self.column
+        return None if self.file is None or column is None else (self.file, column)
 
     @property
     def columns(self) -> list[tuple[str, str]]:
         """File and column of all that is read for it."""
-        named = filter(None, (self.column, self.uncertainty_column))
+        named = filter(None, (self.column, self.uncertainty_column, *(self.replicates or ())))
         return [] if self.file is None else [(self.file, column) for column in named]
 
     @property
     def interval(self) -> tuple[float, float]:
         """From when on and until when a sample says something, relative to its time. [s]."""
-        if self.mean_over_s is None:
-            return MOMENT
-        # What of the interval lies after the stamp.
-        after_s = {"end": 0.0, "begin": 1.0, "centre": 0.5}[self.mean_stamp] * self.mean_over_s
-        return after_s - self.mean_over_s, after_s
+        return _interval(self.mean_over_s, self.mean_stamp)
 
     @property
     def has_limits(self) -> bool:
@@ -506,13 +594,16 @@ class CaseFile(Table):
         time_format: how timestamps are written, in codes of Python's strptime, as "%m/%d %H:%M:%S"; without
             it, ISO 8601 or day.month.year.
         year: year of timestamps that have none; without it, one of 365 days.
+        decimal: sign before the decimals in the CSV files, whose numbers may then have signs of thousands;
+            without it, it is found out.
         time: the window, steps and validation.
         inputs: inputs that recordings drive.
         outputs: outputs that are compared with measurements.
         parameters: parameters that are calibrated.
         fixed: values of other parameters, inputs and initial states, by name.
         tied: parameters that follow from others, by name: `R2 = "3 * R1"`, in SI units.
-        constraints: pairs of calibrated parameters, as "R1 < R2"; every simulation keeps them.
+        constraints: pairs of calibrated parameters, as "R1 < R2", and sums of them, as "fA + fB <= 0.9";
+            every simulation keeps them.
         simulation: time-out and retries.
         references: known errors.
         experiments: several recordings instead of one.
@@ -532,6 +623,7 @@ class CaseFile(Table):
     timezone: Name | None = None
     time_format: Name | None = None
     year: Annotated[int, Field(ge=1, le=9998)] | None = None
+    decimal: Literal[".", ","] | None = None
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]

@@ -1,5 +1,6 @@
 """From the tables of a case file to parts that agree with the FMU; every contradiction is found here."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -17,9 +18,10 @@ from simulation.case_file import (
 )
 from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.ties import Tie, tie
+from simulation.fmi.ties import Tie, sum_limit, tie
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_text import quoted, shortened
+from simulation.parameters import SumLimit
 from simulation.scenario import values_at_edges, values_over_steps
 from simulation.units import Conversion, conversion
 
@@ -75,6 +77,7 @@ def _into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> 
 
 def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
     """Check that every input of the FMU has one source: a recording, a value, or that it is calibrated."""
+    _check_arrays(file, fmu)
     driven, calibrated = [table.name for table in file.inputs], [table.name for table in file.parameters]
     for name in driven:
         for also, names in (("[fixed]", file.fixed), ("[[parameters]]", calibrated)):
@@ -88,6 +91,22 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
             raise InputError(
                 f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its start; "
                 "or hold it at a value under [fixed], or calibrate it under [[parameters]]"
+            )
+
+
+def _check_arrays(file: CaseFile, fmu: FmuDescription) -> None:
+    """Check that the elements of an array of inputs are all driven, or none: it is set as a whole."""
+    driven = {table.name for table in file.inputs}
+    arrays: dict[int, list[str]] = {}
+    for name in fmu.names("input"):
+        if fmu.variables[name].array:
+            arrays.setdefault(fmu.variables[name].reference, []).append(name)
+    for names in arrays.values():
+        others = [name for name in names if name not in driven]
+        if 0 < len(others) < len(names):
+            raise InputError(
+                f"the FMU's inputs {names[0]} to {names[-1]} are one array, which is set as a whole; drive "
+                f"all of it by [[inputs]], also {others[0]}"
             )
 
 
@@ -111,11 +130,11 @@ def input_values(
     inputs, at_edges = (np.zeros((n, len(file.inputs))) for n in (len(edges) - 1, len(edges)))
     for k, (table, change) in enumerate(zip(file.inputs, changes, strict=True)):
         with errors_at(f"inputs[{table.name}]"):
-            variable, how = fmu.variables[table.name], table.interpolation
+            variable, how = fmu.variables[table.name], table.course
             if variable.kind not in REAL_KINDS and how != "held":
                 raise InputError(
-                    f'interpolation = "{how}", but the FMU\'s {table.name} is of type {variable.kind} and '
-                    'knows nothing in between; write interpolation = "held"'
+                    f'interpolation = "{table.interpolation}", but the FMU\'s {table.name} is of type '
+                    f'{variable.kind} and knows nothing in between; write interpolation = "held"'
                 )
             for column, weight in table.weights.items():
                 time, values = data.input_series(table, column, edges)
@@ -143,18 +162,22 @@ def ties(file: CaseFile, fmu: FmuDescription) -> tuple[Tie, ...]:
     return tuple(tie(name, expression, known, fmu) for name, expression in file.tied.items())
 
 
-def constraints(file: CaseFile) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of parameters of which the first one stays at or below the second one.
+def constraints(file: CaseFile) -> tuple[tuple[tuple[str, str], ...], tuple[SumLimit, ...]]:
+    """Return the pairs of parameters of which the first one stays at or below the second one, and the sums.
 
     Raises:
-        InputError: If one is no pair, has other names, or meets a prior or an estimate that it contradicts.
+        InputError: If one is neither, has other names, or meets a prior or an estimate that it contradicts.
     """
-    tables, pairs = {table.name: table for table in file.parameters}, []
+    tables = {table.name: table for table in file.parameters}
+    pairs, sums = list[tuple[str, str]](), list[SumLimit]()
     for text in file.constraints:
-        where, parts = f"constraints: {quoted(text)}", [part.strip() for part in text.split("<")]
-        if len(parts) != 2 or "" in parts or parts[0] == parts[1]:
-            raise InputError(f'{where} is no pair; write "R1 < R2" with two parameters')
-        for name in parts:
+        where = f"constraints: {quoted(text)}"
+        parts = [part.strip() for part in text.split("<")]
+        # Names need be no words of an expression.
+        is_pair = len(parts) == 2 and all(part in tables for part in parts) and parts[0] != parts[1]
+        limit = SumLimit(((parts[0], 1.0), (parts[1], -1.0)), 0.0) if is_pair else sum_limit(text, where)
+        names = [name for name, _ in limit.terms]
+        for name in names:
             if name not in tables:
                 raise InputError(
                     f"{where}: {shortened(name)} is not calibrated; narrow the other one's bounds"
@@ -164,16 +187,30 @@ def constraints(file: CaseFile) -> tuple[tuple[str, str], ...]:
                     f"{where}: {name} has a prior, which no parameter of a constraint can have; "
                     "remove one of the two"
                 )
-        small, large = (tables[name] for name in parts)
-        if small.unit != large.unit:
-            raise InputError(f"{where}: units are {small.unit} and {large.unit}; declare both in one unit")
-        if small.estimate is not None and large.estimate is not None and small.estimate > large.estimate:
-            raise InputError(
-                f"{where}: the estimates {small.name} = {small.estimate:g} and {large.name} = "
-                f"{large.estimate:g} violate it; correct one of them"
-            )
-        pairs.append((small.name, large.name))
-    return tuple(pairs)
+        units = list(dict.fromkeys(tables[name].unit for name in names))
+        if len(units) > 1:
+            raise InputError(f"{where}: units are {' and '.join(units)}; declare all in one unit")
+        estimates = [tables[name].estimate for name in names]
+        known = [estimate for estimate in estimates if estimate is not None]
+        weights = [weight for _, weight in limit.terms]
+        if len(known) == len(names) and np.dot(weights, known) > limit.most:
+            raise InputError(f"{where}: the estimates violate it; correct them")
+        if limit.most == 0.0 and sorted(weights) == [-1.0, 1.0]:
+            small, large = sorted(names, key=lambda name: -dict(limit.terms)[name])
+            pairs.append((small, large))
+        else:
+            order = [*tables]
+            terms = tuple(sorted(limit.terms, key=lambda term: order.index(term[0])))
+            sums.append(SumLimit(terms, limit.most))
+    often = Counter(name for one in sums for name, _ in one.terms)
+    often.update({name for pair in pairs for name in pair})
+    for one in sums:
+        for name, _ in one.terms:
+            if often[name] > 1:
+                raise InputError(
+                    f"constraints: {name} is in a sum and in another constraint; keep one of them"
+                )
+    return tuple(pairs), tuple(sums)
 
 
 def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float) -> dict[str, Value]:

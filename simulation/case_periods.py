@@ -1,7 +1,7 @@
 """The periods of a case: what is simulated, from when on it is reported, and which part is compared."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -181,6 +181,8 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
             else:
                 recording, column = data.recordings[table.source[0]], table.source[1]
                 said = file.time.unit.period(period.compared_d)
+                if table.on_change:
+                    recording = _at_times(recording, column, time[time >= begin_s - 1e-6], table)
                 one = _samples(recording, column, (begin_s, float(time[-1])), seen_s, said, table)
                 low, high = table.accepted or (-math.inf, math.inf)
                 for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
@@ -249,10 +251,15 @@ def _samples(
     inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
     if interval == MOMENT:
         inside &= ~(np.abs(recording.time - seen_s) <= slack)
+    # The first value of a counter is where it begins to count.
+    since = int(np.argmax(inside)) if table.starts_at is not None and inside.any() else None
+    if since is not None:
+        inside[since], values = False, values - values[since]
     n_samples = np.count_nonzero(inside)
     if n_samples < 2:
         values_of = f"{n_samples} {'value' if n_samples else 'values'} of {column}"
         means = "" if interval == MOMENT else f" (each a mean over {interval[1] - interval[0]:g} s)"
+        means += " beside the first" * (since is not None)
         raise InputError(
             f"{recording.path} has {values_of}{means} over {said}, 2 are needed; choose another window, or "
             "correct the file"
@@ -266,7 +273,21 @@ def _samples(
         interval,
         stamps,
         _deviations(recording, values, inside, table),
+        None if since is None else float(np.clip(recording.time[since], begin_s, end_s)),
     )
+
+
+def _at_times(recording: Recording, column: str, time: FloatArray, table: OutputTable) -> Recording:
+    """Return what values that are recorded when they change are at other times (t,), NaN before the first."""
+    known = np.flatnonzero(~np.isnan(recording.columns[column]))
+    if not len(known):
+        return recording
+    at = np.searchsorted(recording.time[known], time + 1e-6, side="right") - 1
+    columns = {
+        name: np.where(at < 0, np.nan, recording.columns[name][known[np.maximum(at, 0)]])
+        for name in filter(None, (column, table.uncertainty_column))
+    }
+    return replace(recording, time=time, columns=columns, stamps=())
 
 
 def _deviations(

@@ -109,7 +109,10 @@ def _without_rivals(usual: dict[str, Any], own: dict[str, Any]) -> dict[str, Any
         "uncertainty_column": {"uncertainty", "uncertainty_share"},
         "uncertainty": {"uncertainty_column"},
         "sum": {"column"},
-        "column": {"sum"},
+        "column": {"sum", "replicates"},
+        "replicates": {"column"},
+        "mean_over_s": {"sum_over_s"},
+        "sum_over_s": {"mean_over_s"},
     }
     gone = set[str]().union(*(rivals.get(key, set()) for key in own))
     return {key: value for key, value in usual.items() if key not in gone}

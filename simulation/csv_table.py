@@ -16,6 +16,8 @@ COMMENTS = ("#", "%", "//", "!")
 """What lines that are no data begin with, as loggers and numerical programs write them."""
 _MOST_BEFORE = 200
 """Lines in which a header is looked for; loggers write some ten before it."""
+_MOST_AFTER = 3
+"""Lines after the names: loggers write units, kinds of samples, descriptions."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,8 @@ def read_table(content: bytes, time_names: Collection[str], names: Collection[st
         names: The other columns.
 
     Raises:
-        InputError: If it is empty, a workbook, or no CSV file.
+        InputError: If it is empty or no CSV file.
     """
-    if content.startswith(b"PK\x03\x04"):
-        raise InputError("is a workbook, no CSV file; save its sheet as CSV")
     try:
         text = _decoded(content)
         first = text.partition("\n")[0]
@@ -75,22 +75,30 @@ def read_table(content: bytes, time_names: Collection[str], names: Collection[st
     return CsvTable(header, rows[1:], delimiter, place + 2)
 
 
-def units_line(cells: Mapping[str, list[str]], time_name: str) -> dict[str, str] | None:
-    """Return the units that the first row of a table says, by column.
+def further_header(cells: Mapping[str, list[str]], time_name: str) -> tuple[int, dict[str, str]]:
+    """Return how many lines after the header are no data, and the units that they say, by column.
 
-    It is a line of units if it has no number, no time, and at least one unit that is known.
+    Such a line has no time, no number, and some text: units, descriptions, kinds of samples.
 
     Args:
         cells: Cells of the columns in use.
         time_name: The column of times.
 
     Returns:
-        The units that are known; None where the first row is data.
+        Their number, and the units that are known: of the first line that has some.
     """
-    said = {name: _bracketless(column[0]) for name, column in cells.items() if column}
-    if re.search(r"\d", said.get(time_name, "")) or any(map(_is_number, said.values())):
-        return None
-    return {name: unit for name, unit in said.items() if unit and in_si(unit) is not None} or None
+    units: dict[str, str] = {}
+    for n, row in enumerate(islice(zip(*cells.values(), strict=True), _MOST_AFTER + 1)):
+        said = {name: _bracketless(cell) for name, cell in zip(cells, row, strict=True)}
+        if (
+            n == _MOST_AFTER
+            or re.search(r"\d", said[time_name])
+            or any(map(_is_number, said.values()))
+            or not any(said.values())
+        ):
+            return n, units
+        units = units or {name: unit for name, unit in said.items() if unit and in_si(unit) is not None}
+    return 0, units
 
 
 def composed(name: str) -> str:
@@ -137,6 +145,11 @@ def _names(line: str) -> set[str]:
         (cells,) = csv.reader([line], delimiter=_delimiter(line), strict=True)
     except (csv.Error, ValueError):
         return set()
+    return names_of(cells)
+
+
+def names_of(cells: Iterable[str]) -> set[str]:
+    """Return what the cells of a line name, if it is the header."""
     names = [composed(cell.strip()) for cell in cells]
     return {*names, *map(_uncommented, names[:1])}
 

@@ -9,7 +9,7 @@ from simulation.arrays import FloatArray, IntArray, digest_of
 from simulation.correlated_error import coloured, correlations, whitened
 from simulation.limits import Limits
 from simulation.robust_loss import RobustLoss
-from simulation.samples import MeanPlace, Place, Samples, place_of
+from simulation.samples import CountPlace, MeanPlace, Place, Samples, place_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,8 @@ class Measurement:
         MSE = sum_k w_k / sum_k w_k * mean_i (s_1 / s_k * (simulated_ki - measured_ki))^2
 
     in the first output's unit squared: every output has the same say per weight, however often it was
-    sampled. A sample that is a mean over an interval is compared with the mean of these lines over it.
+    sampled. A sample that is a mean over an interval is compared with the mean of these lines over it, one of
+    a counter with what the lines gain from its first value on.
     Where samples have uncertainties of their own, s_k is replaced by that of the sample.
     For one output, or outputs sampled alike with weights of 1, this is the mean of all squared residuals.
     For an output with a robust loss, the square of the difference is replaced by its loss: the error is then
@@ -162,7 +163,7 @@ class Measurement:
         """Measured values at the output times, NaN where no sample was taken. Shape (t, k). [per output]."""
         y = np.full((len(self.time), len(self.outputs)), np.nan)
         for k, (one, place) in enumerate(zip(self.outputs, self._places, strict=False)):
-            if isinstance(place, MeanPlace):
+            if not isinstance(place, Place):
                 continue
             on = (place.share == 0.0) | (place.share == 1.0)
             y[place.before[on] + place.share[on].astype(np.int64), k] = one.samples.values[on]
@@ -179,7 +180,7 @@ class Measurement:
         return targets
 
     @cached_property
-    def _places(self) -> tuple[Place | MeanPlace, ...]:
+    def _places(self) -> tuple[Place | MeanPlace | CountPlace, ...]:
         """Where the samples of the targets lie among the output times."""
         return tuple(one.samples.place_on(self.time) for _, one in self._targets)
 
@@ -342,7 +343,7 @@ class Measurement:
             arrays.append(self.weights)
         # Samples on the output times are in y.
         its = self._places[: len(self.outputs)]
-        if any(isinstance(place, MeanPlace) or (place.share % 1.0).any() for place in its):
+        if any(not isinstance(place, Place) or (place.share % 1.0).any() for place in its):
             arrays += [array for one in self.outputs for array in (one.samples.time, one.samples.values)]
         losses, limits = (tuple(getattr(one, key) for one in self.outputs) for key in ("loss", "limits"))
         lasts_s = [one.correlation_s for one in self.outputs]
@@ -351,6 +352,9 @@ class Measurement:
             named += repr((lasts_s if any(lasts_s) else None, limits if any(limits) else ()))
         if any(one.samples.are_means for one in self.outputs):
             named += repr([one.samples.interval for one in self.outputs])
+        since_s = [one.samples.since_s for one in self.outputs]
+        if any(one is not None for one in since_s):
+            named += repr(since_s)
         deviations = [one.samples.deviations for one in self.outputs]
         if any(one is not None for one in deviations):
             named += repr([one is not None for one in deviations])

@@ -7,6 +7,7 @@ import numpy as np
 
 from simulation.case import Case
 from simulation.case_data import on_one_axis, read_columns
+from simulation.case_meters import inputs_as_means
 from simulation.case_parts import conversions, input_values
 from simulation.case_periods import MOST_STEPS
 from simulation.case_reading import read_experiments
@@ -36,7 +37,7 @@ def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
             f"{case.path}: the model has no [[inputs]]; there is nothing that {recording} drives"
         )
     recordings = read_columns(file, [], lambda name: recording / name if recording.is_dir() else recording)
-    leading = file.inputs[0].file
+    file, leading = inputs_as_means(file, case.fmu), file.inputs[0].file
     data = on_one_axis(file, recordings, leading)
     begin_s, end_s = data.recordings[leading].time[[0, -1]].tolist()
     step, every = case.communication_step_s, case.scenario.output_every

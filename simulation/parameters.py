@@ -3,14 +3,16 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
 
 Scale = Literal["linear", "log"]
+_ROUNDING = 1e-12
+"""Share by which a sum may be above its limit: its last term was solved for."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,18 @@ class Parameter:
             raise InputError(f"{where}: within = {prior.deviation:g}; give a number above 0")
 
 
+class SumLimit(NamedTuple):
+    """A weighted sum of parameters that stays at or below a number.
+
+    Attributes:
+        terms: Names and weights, in the order of the parameters.
+        most: The number. [the parameters' unit]
+    """
+
+    terms: tuple[tuple[str, float], ...]
+    most: float
+
+
 @dataclass(frozen=True)
 class ParameterSpace:
     """The box of all parameters of a case, in a fixed order.
@@ -100,10 +114,12 @@ class ParameterSpace:
     Attributes:
         parameters: The parameters.
         constraints: Pairs of names: the first one's value stays at or below the second one's.
+        sums: Sums that stay below a number. No parameter is in two of them, or in a pair as well.
     """
 
     parameters: tuple[Parameter, ...]
     constraints: tuple[tuple[str, str], ...] = ()
+    sums: tuple[SumLimit, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parameters:
@@ -122,7 +138,14 @@ class ParameterSpace:
                 theta[large] = max(theta[large], theta[small])
             elif np.isnan(estimates[small]):
                 theta[small] = min(theta[small], theta[large])
+        if self.sums and not self.contains(theta):
+            theta = self.from_unit(self.to_unit(theta))
         return theta
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether constraints make the cube's edges depend on each other."""
+        return bool(self.constraints or self.sums)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -181,6 +204,18 @@ class ParameterSpace:
         return tuple(pairs)
 
     @cached_property
+    def _sums(self) -> list[tuple[IntArray, FloatArray, float]]:
+        """Columns, weights and limit of each sum."""
+        return [
+            (
+                np.array([self.names.index(name) for name, _ in one.terms]),
+                np.array([weight for _, weight in one.terms]),
+                one.most,
+            )
+            for one in self.sums
+        ]
+
+    @cached_property
     def _reachable(self) -> FloatArray:
         """Lower and upper bounds that constraints leave. Shape (2, p). [per parameter]."""
         lower, upper = self.lower.copy(), self.upper.copy()
@@ -188,6 +223,15 @@ class ParameterSpace:
             lower[large] = max(lower[large], lower[small])
         for small, large in self._pairs[::-1]:
             upper[small] = min(upper[small], upper[large])
+        for columns, weights, most in self._sums:
+            least = np.minimum(weights * lower[columns], weights * upper[columns])
+            ends = (most - (least.sum() - least)) / weights
+            up = weights > 0.0
+            upper[columns[up]] = np.minimum(upper[columns[up]], ends[up])
+            lower[columns[~up]] = np.maximum(lower[columns[~up]], ends[~up])
+            if np.any(lower[columns] >= upper[columns]):
+                names = ", ".join(self.names[column] for column in columns)
+                raise InputError(f"constraint on {names}: no values within the bounds keep it; widen them")
         for pair in self._pairs:
             if any(lower[one] >= upper[one] for one in pair):
                 raise InputError(
@@ -203,6 +247,16 @@ class ParameterSpace:
         lower, upper = (np.broadcast_to(one, theta.shape).copy() for one in self._reachable)
         for small, large in self._pairs:
             lower[..., large] = np.maximum(lower[..., large], theta[..., small])
+        for columns, weights, most in self._sums:
+            # Each is limited by those before it, and by the least that those after it can be.
+            terms = weights * theta[..., columns]
+            least = np.minimum(weights * lower[..., columns], weights * upper[..., columns])
+            before, after = np.cumsum(terms, axis=-1) - terms, np.cumsum(least[..., ::-1], axis=-1)[..., ::-1]
+            ends = (most - before - (after - least)) / weights
+            up = weights > 0.0
+            ends = np.clip(ends, lower[..., columns], upper[..., columns])
+            upper[..., columns[up]] = ends[..., up]
+            lower[..., columns[~up]] = ends[..., ~up]
         return lower, upper
 
     def to_unit(self, theta: FloatArray) -> FloatArray:
@@ -215,11 +269,11 @@ class ParameterSpace:
             Unit-cube coordinates, exactly 0 and 1 at the bounds. Shape as theta. [1]
         """
         theta = self._checked(theta)
-        ends = (self.lower, self.upper) if not self.constraints else self._bounds(theta)
+        ends = self._bounds(theta) if self.is_bent else (self.lower, self.upper)
         lower, upper = (self._coordinates(one) for one in ends)
         with np.errstate(invalid="ignore", divide="ignore"):
             u: FloatArray = (self._coordinates(theta) - lower) / (upper - lower)
-        if self.constraints:
+        if self.is_bent:
             # Where the smaller one is at the upper bound of the larger one, the edge has no length.
             u = np.where((upper == lower) & np.isfinite(theta), 1.0, u)
         return u
@@ -234,7 +288,7 @@ class ParameterSpace:
             Parameters, exactly on the bounds at 0 and 1. Shape as u. [per parameter]
         """
         u = self._checked(u)
-        if not self.constraints:
+        if not self.is_bent:
             return self._inside(u, self.lower, self.upper)
         lower, upper = self._reachable
         theta = self._inside(u, lower, upper)
@@ -242,6 +296,9 @@ class ParameterSpace:
             # All smaller ones of this one are known by now.
             bounds = self._bounds(theta)
             theta[..., large] = self._inside(u, *bounds)[..., large]
+        for columns, _, _ in self._sums:
+            for column in columns:
+                theta[..., column] = self._inside(u, *self._bounds(theta))[..., column]
         return theta
 
     def _inside(self, u: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
@@ -263,6 +320,13 @@ class ParameterSpace:
         for small, large in self._pairs:
             lower[large] = max(lower[large], theta[small])
             upper[small] = min(upper[small], theta[large])
+        for columns, weights, most in self._sums:
+            left = most - float(weights @ theta[columns])
+            for column, weight in zip(columns, weights, strict=True):
+                end = max(theta[column] + left / weight, lower[column]) if weight > 0 else upper[column]
+                upper[column] = min(upper[column], end)
+                if weight < 0:
+                    lower[column] = max(lower[column], min(theta[column] + left / weight, upper[column]))
         return lower, upper
 
     def contains(self, theta: FloatArray) -> BoolArray:
@@ -278,6 +342,10 @@ class ParameterSpace:
         inside: BoolArray = np.all((theta >= self.lower) & (theta <= self.upper), axis=-1)
         for small, large in self._pairs:
             inside = inside & (theta[..., small] <= theta[..., large])
+        for columns, weights, most in self._sums:
+            terms = weights * theta[..., columns]
+            slack = _ROUNDING * (np.abs(terms).sum(axis=-1) + abs(most))
+            inside = inside & (terms.sum(axis=-1) <= most + slack)
         return inside
 
     def _coordinates(self, theta: FloatArray) -> FloatArray:

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.csv_table import CsvTable, composed, read_table, units_line
+from simulation.csv_table import CsvTable, composed, further_header, read_table
 from simulation.errors import InputError, errors_at
 from simulation.foreign_file import RECORDING, read_limited
 from simulation.foreign_text import quoted, shortened
+from simulation.sheets import as_csv, without_sheet
 from simulation.time_unit import UNITS
 from simulation.timestamps import Clock, StampForm, read_timestamps, zone_named
 from simulation.units import in_si
@@ -32,6 +33,10 @@ _MOST = 1e30
 _DURATIONS = {"_s": 1.0} | {
     f"{left}{unit.symbol}{right}": unit.seconds for unit in UNITS.values() for left, right in ("[]", "()")
 }
+# With a sign of thousands, or with three decimals.
+_LIKE_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(\.\d{3})+")
+# Signs of thousands, those that are spaces among them.
+_GROUPS = ".,'\u2019 \u00a0\u202f"
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -82,22 +87,25 @@ def read_recording(
     time_column: str | None = None,
     timezone: str | None = None,
     stamps: StampForm | None = None,
+    decimal: str | None = None,
     if_missing: str = "",
     is_quoted: bool = True,
 ) -> Recording:
-    """Read columns of a CSV file with a header line.
+    """Read columns of a CSV file with a header line, of a sheet of a workbook, or of a Parquet file.
 
     Commas, semicolons or tabulators separate the cells; with the latter two, a decimal comma is read.
     Times are seconds in a column whose name ends with `_s`, `[s]` or `(s)`, another unit's where it ends with
     `[min]`, `[h]` or `[d]`, or where a line of units after the header says so; else timestamps.
 
     Args:
-        path: The file.
+        path: The file, as "runs.xlsx#Batch 2" with the sheet of a workbook.
         column_names: Columns to read beside the time.
         time_column: Name of the time column; None for `time_s` or `time`, whichever is there.
         timezone: Where the clock of timestamps without an offset hangs, e.g. "Europe/Berlin"; None for a
             clock without summer time.
         stamps: How timestamps are written; None for the usual forms.
+        decimal: Sign before the decimals of a CSV file, "," or ".", whose numbers may then have thousands
+            signs; None to find it out.
         if_missing: What to do where there is no such file; "" for the general advice.
         is_quoted: Whether a message may quote what the file holds.
 
@@ -109,22 +117,29 @@ def read_recording(
     """
     needed = shortened(", ".join([time_column or TIME_COLUMN, *column_names]))
     remedy = if_missing or "put the recording there or correct `data` and `file`"
+    name, sheet = without_sheet(path.name)
+    path = path.with_name(name)
     content = read_limited(path, RECORDING, if_missing=f"it needs the columns {needed}; {remedy}")
     with errors_at(path) if is_quoted else _unquoted(path, needed):
         asked = {name: composed(name) for name in column_names}
         wanted = time_column and composed(time_column)
         time_names = [*filter(None, (wanted, TIME_COLUMN, STAMP_COLUMN))]
-        table = read_table(content, time_names, [*asked.values()])
+        exported = as_csv(content, path, sheet, time_names, [*asked.values()])
+        table = read_table(content if exported is None else exported, time_names, [*asked.values()])
         time_name = _time_column(table.header, wanted)
         cells = _cells(table, [time_name, *asked.values()])
-        units = units_line(cells, time_name)
-        if units is not None:
-            table = replace(table, rows=table.rows[1:], first_line=table.first_line + 1)
+        n_more, units = further_header(cells, time_name)
+        if n_more:
+            table = replace(table, rows=table.rows[n_more:], first_line=table.first_line + n_more)
             cells = _cells(table, [time_name, *asked.values()])
         reader = _Reader(table, cells)
-        unit_s = _unit_of_durations(time_name, (units or {}).get(time_name))
+        unit_s = _unit_of_durations(time_name, units.get(time_name))
         numbers = {name: cells[name] for name in cells if unit_s is not None or name != time_name}
-        has_commas = table.delimiter != "," and reader.has_decimal_commas(numbers)
+        if exported is None and decimal is not None:
+            reader = _Reader(table, cells | reader.without_groups(numbers, decimal))
+            has_commas = False
+        else:
+            has_commas = table.delimiter != "," and reader.has_decimal_commas(numbers)
         clock: Clock = "seconds"
         if unit_s is not None:
             time = unit_s * reader.numbers(time_name, has_commas=has_commas)
@@ -136,7 +151,7 @@ def read_recording(
             )
         reader.check_rising(time_name, time, timezone, stamps=unit_s is None)
         columns = {name: reader.numbers(column, has_commas=has_commas) for name, column in asked.items()}
-    said = {name: (units or {}).get(column, "") for name, column in asked.items()}
+    said = {name: units.get(column, "") for name, column in asked.items()}
     said = {name: one for name, one in said.items() if one}
     written = tuple(cells[time_name])
     return Recording(path, time, columns, clock, time_name, table.first_line, said, written)
@@ -269,24 +284,51 @@ class _Reader:
             lines = self._line(comma[1]), self._line(point[1])
             raise InputError(
                 f"column {comma[0]} has a comma in {quoted(comma[2])} (line {lines[0]}) and there is a point "
-                f"in {quoted(point[2])} (line {lines[1]}{where}); write all numbers alike, without thousands "
-                "signs"
+                f"in {quoted(point[2])} (line {lines[1]}{where}); write all numbers alike, or say at "
+                'the top of the case file which sign is before the decimals: decimal = "," or "."'
+            )
+        dotted = [(name, row, cell) for name in cells for row, cell in enumerate(cells[name]) if "." in cell]
+        if self.table.delimiter == ";" and dotted and all(_LIKE_GROUPS.fullmatch(one[2]) for one in dotted):
+            name, row, cell = dotted[0]
+            raise InputError(
+                f"{self.place(row, name)}: {quoted(cell)} may have a decimal point or a sign of thousands, "
+                'as all numbers here; say at the top of the case file which: decimal = "." or ","'
             )
         return comma is not None
+
+    def without_groups(self, cells: Mapping[str, list[str]], decimal: str) -> dict[str, list[str]]:
+        """Return the cells of columns of numbers with decimal points and without signs of thousands."""
+        grouped = re.compile(
+            rf"([-+]?\d{{1,3}}(?:([{_GROUPS.replace(decimal, '')}])\d{{3}})(?:\2\d{{3}})*)(.*)"
+        )
+
+        def plain(name: str, row: int, cell: str) -> str:
+            match = grouped.fullmatch(cell)
+            whole, rest = (re.sub(rf"[{_GROUPS}]", "", match[1]), match[3]) if match else ("", cell)
+            number = whole + rest.replace(decimal, ".") if decimal == "," else whole + rest
+            if (rest.count(decimal) > 1 or "," in number) or (decimal == "," and "." in rest):
+                raise InputError(
+                    f'{self.place(row, name)}: {quoted(cell)} is not a number with decimal = "{decimal}"; '
+                    "correct one of the two"
+                )
+            return number
+
+        return {name: [plain(name, row, cell) for row, cell in enumerate(cells[name])] for name in cells}
 
     def check_rising(self, name: str, time: FloatArray, timezone: str | None, *, stamps: bool) -> None:
         """Check that times rise; they are those of the column."""
         cells = self.cells[name]
         for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
             before, cell = cells[row], cells[row + 1]
-            said = "repeats" if time[row + 1] == time[row] else "comes before"
-            hint = ""
+            is_same = bool(time[row + 1] == time[row])
+            said, hint = "repeats" if is_same else "comes before", ""
             if stamps and time[row] - time[row + 1] <= 3600.0:
                 hint = "; at the end of summer time, write the offset from UTC, or a timezone into the case"
                 if timezone:
                     # Of a clock in a time zone, the same time twice is a row twice.
                     never_set = "; if this clock has no summer time, remove timezone = "
                     hint = f"{never_set}{timezone!r} from the case" if before != cell else ""
+            hint = hint or ", or give replicates a column each" * is_same
             column = name if name == TIME_COLUMN else f"column {name}"
             raise InputError(
                 f"line {self._line(row + 1)}: {column} = {shortened(cell)} {said} the line above "

@@ -24,6 +24,7 @@ class Samples:
         stamps: The times as the recording writes them, to be found there again; empty where there is none.
         deviations: Standard uncertainty of each; None where all have that of the sensor. Shape (m,).
             [output's unit]
+        since_s: Of a counter: from when on it counts; None for values as they are. [s]
     """
 
     time: FloatArray
@@ -31,6 +32,7 @@ class Samples:
     interval: tuple[float, float] = MOMENT
     stamps: tuple[str, ...] = ()
     deviations: FloatArray | None = None
+    since_s: float | None = None
 
     def __post_init__(self) -> None:
         if self.time.shape != self.values.shape or self.time.ndim != 1:
@@ -56,10 +58,13 @@ class Samples:
     @property
     def begin_s(self) -> float:
         """From when on the first one says something. [s]."""
-        return float(self.time[0]) + self.interval[0]
+        first_s = float(self.time[0]) + self.interval[0]
+        return first_s if self.since_s is None else min(first_s, self.since_s)
 
-    def place_on(self, grid: FloatArray) -> "Place | MeanPlace":
+    def place_on(self, grid: FloatArray) -> "Place | MeanPlace | CountPlace":
         """Find them among the output times (t,), which must hold all of them. [s]."""
+        if self.since_s is not None:
+            return CountPlace(place_of(grid, self.time), place_of(grid, np.array([self.since_s])))
         if not self.are_means:
             return place_of(grid, self.time)
         first, last = (_inside(grid, self.time + one) for one in self.interval)
@@ -79,7 +84,8 @@ class Samples:
 
     def within(self, begin_s: float, length_s: float) -> "Samples":
         """Return the same with times from a begin on, for `length_s` at most. [s]."""
-        return replace(self, time=np.clip(self.time - begin_s, 0.0, length_s))
+        since_s = None if self.since_s is None else max(self.since_s - begin_s, 0.0)
+        return replace(self, time=np.clip(self.time - begin_s, 0.0, length_s), since_s=since_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +104,18 @@ class Place:
         found = series[:, self.before] * (1.0 - self.share)
         found += series[:, self.after] * self.share
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class CountPlace:
+    """Between which output times samples of a counter lie, and where it begins to count."""
+
+    at: Place
+    since: Place
+
+    def of(self, series: FloatArray) -> FloatArray:
+        """Return how far series (n, t) have counted there. Shape (n, m)."""
+        return self.at.of(series) - self.since.of(series)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 
-Interpolation = Literal["held", "linear", "smooth"]
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
+
+Interpolation = Literal["held", "linear", "smooth", "spread"]
+"""What a series is between its samples; "spread" are means of intervals one after the other, made smooth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +68,15 @@ def values_at_edges(
         return np.interp(edges, time, values)
     from scipy.interpolate import PchipInterpolator
 
+    if interpolation == "spread":
+        return _sums_of_means(time, values).derivative()(edges)
     return PchipInterpolator(time, values)(np.clip(edges, time[0], time[-1]))
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:
     """Return whether a series is known over all communication steps.
 
-    A held sample is good for one usual (median) step beyond its time, the others end with the last sample.
+    A held sample, and a mean, is good for one usual (median) step beyond its time; others end with the last.
 
     Args:
         time: Sample times. Shape (m,). [s]
@@ -82,7 +88,7 @@ def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) ->
     """
     step = float(np.median(np.diff(time)))
     slack = 1e-9 * step
-    end = time[-1] + (step if interpolation == "held" else 0.0)
+    end = time[-1] + (step if interpolation in ("held", "spread") else 0.0)
     return bool(time[0] <= edges[0] + slack and edges[-1] <= end + slack)
 
 
@@ -96,7 +102,8 @@ def values_over_steps(
         values: Samples. Shape (m,).
         edges: Edges of the communication steps, inside what the series covers. Shape (s + 1,). [s]
         interpolation: "held": the sample last taken when the step starts; "linear": exact mean of the
-            straight lines between samples; "smooth": exact mean of the monotone cubic (pchip) through them.
+            straight lines between samples; "smooth": exact mean of the monotone cubic (pchip) through them;
+            "spread": the same through the sums of means, whose intervals begin at `time`; all are kept.
 
     Returns:
         One value per step. Shape (s,).
@@ -115,6 +122,8 @@ def values_over_steps(
         # A millionth of a sample step forgives edges whose sum of floats falls just short of a sample.
         at = np.searchsorted(time, edges[:-1] + 1e-6 * np.median(np.diff(time)), side="right") - 1
         return values[at]
+    if interpolation == "spread":
+        return np.diff(_sums_of_means(time, values)(edges)) / np.diff(edges)
     # Integrated relative to the start of the window and to the mean: no digits are lost in large integrals.
     start, level = edges[0], float(np.mean(values))
     if interpolation == "linear":
@@ -124,3 +133,17 @@ def values_over_steps(
         curve = PchipInterpolator(time - start, values - level)
     integral = curve.antiderivative()(edges - start)
     return np.diff(integral) / np.diff(edges) + level
+
+
+def _sums_of_means(time: FloatArray, values: FloatArray) -> "PchipInterpolator":
+    """Return the integral of means from the first begin on, a monotone cubic: rates change no sign between.
+
+    Args:
+        time: Begins of the intervals. Shape (m,). [s]
+        values: Means, each until the next begin. Shape (m,).
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    ends = np.append(time, time[-1] + np.median(np.diff(time)))
+    sums = np.append(0.0, np.cumsum(values * np.diff(ends)))
+    return PchipInterpolator(ends, sums)

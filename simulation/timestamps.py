@@ -27,7 +27,12 @@ _MIDNIGHT = re.compile(r"(?<![\d:])24:00(?=(:00(\.0+)?)?(?![\d:]))")
 # A code of strptime for a year, not an escaped percent sign.
 _YEAR_CODE = re.compile(r"(?<!%)(?:%%)*%[yYcxG]")
 # With a slash it may be the day or the month that comes first.
-_SLASHES = re.compile(r"(\d{1,2})/(\d{1,2})(/\d{2,4})?[ T]+\d{1,2}:\d{2}(:\d{2})?")
+_SLASHES = re.compile(
+    r"\d{1,2}/\d{1,2}(?P<year>/\d{2,4})?"
+    r"(?P<time>[ T]+\d{1,2}:\d{2}(?P<second>:\d{2})?(?P<half>\s*[AaPp][Mm])?)?"
+)
+# With the year first it is clear.
+_YEAR_FIRST = re.compile(r"(\d{4})/(\d{1,2})/(\d{1,2})(?=$|[ T])")
 _LEAST_STEP_BACK_D = 300
 """A step back of more days is a new year: a recording has no gap of two months over it."""
 _USUAL_YEAR = 2001
@@ -172,7 +177,9 @@ def _remedy(cell: str, form: StampForm | None) -> str:
         return f'is not written like time_format = "{form.text}"{hint}; correct one of the two'
     slashes = _SLASHES.fullmatch(cell)
     if slashes is not None:
-        rest = "/%Y" * bool(slashes[3]) + " %H:%M" + ":%S" * bool(slashes[4])
+        year = "/%y" if len(slashes["year"] or "") == 3 else "/%Y" * bool(slashes["year"])
+        clock = ("%I" if slashes["half"] else "%H") + ":%M" + ":%S" * bool(slashes["second"])
+        rest = year + f" {clock}{' %p' * bool(slashes['half'])}" * bool(slashes["time"])
         return (
             "may have the month or the day first; say at the top of the case file which: "
             f'time_format = "%m/%d{rest}" or "%d/%m{rest}"'
@@ -198,11 +205,15 @@ def _parsed(text: str, form: StampForm | None = None) -> datetime:
     if form is not None:
         moment = form.parse(text)
     elif match is None:
-        moment = datetime.fromisoformat(text)
+        moment = datetime.fromisoformat(_YEAR_FIRST.sub(_dashed, text))
     else:
         day, month, year, hour, minute, second = (int(part or 0) for part in match.groups())
         moment = datetime(year, month, day, hour, minute, second)
     return moment + timedelta(days=n_ends)
+
+
+def _dashed(day: re.Match[str]) -> str:
+    return f"{day[1]}-{int(day[2]):02d}-{int(day[3]):02d}"
 
 
 def _seconds(moment: datetime, zone: tzinfo | None) -> float:

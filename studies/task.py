@@ -67,13 +67,15 @@ class Task:
         """
         # `studies status` reads results without the modules that simulate.
         from simulation.case_reading import read_experiments
+        from simulation.sheets import without_sheet
 
         case, paths = self.case, self.paths
         folder, files = case.path.parent, {case.path: None}
         for declared in (one.file for one in read_experiments(case.path)):
             names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs if one.file]
             data = folder / declared.data
-            files |= dict.fromkeys([folder / declared.fmu, *(data / name for name in names)])
+            recordings = (data / without_sheet(name)[0] for name in names)
+            files |= dict.fromkeys([folder / declared.fmu, *recordings])
         for one in case.experiments or (case,):
             files |= dict.fromkeys(one.named_files.files)
         made = Provenance(

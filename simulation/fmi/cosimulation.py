@@ -22,7 +22,7 @@ _TERMINATED = 3
 @cache
 def prepare() -> None:
     """Compile the loop, for whatever FMU, once in a process."""
-    table, times = np.zeros((0, 5), dtype=np.intp), np.zeros(1)
+    table, times = np.zeros((0, 6), dtype=np.intp), np.zeros(1)
     references = np.zeros(0, dtype=np.uint32)
     make_ready(step_through, table[:, 0].copy(), 0, table, references, times, 1, times, np.zeros((1, 0)))
 

@@ -121,6 +121,8 @@ class FmuDescription:
         usable = ("Real", "Float64") if causality == "output" else REAL_KINDS
         if variable.kind not in usable and not (causality == "input" and variable.dtype is not None):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
+            if causality == "parameter" and variable.kind != "String":
+                remedy += ", in a case for each value, and compare their errors"
             numbers = " or ".join(kind for kind in usable if kind in SETTERS[self.fmi_version])
             raise InputError(
                 f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
@@ -166,10 +168,13 @@ class FmuDescription:
             raise InputError(f"{where}: {what}; {remedy}choose one of: {_listed(self.names(causality))}")
         if variable.is_out_of_reach:
             size = " x ".join(map(str, variable.shape))
-            what = f"an array ({size})" if size else f"a {variable.kind}"
-            raise InputError(
-                f"{where}: {name} is {what} of {self.path.name}, which no case can use; leave it out"
-            )
+            what = f"a {variable.kind} of {self.path.name}, which no case can use"
+            if size:
+                what = (
+                    f"an array ({size}) of {self.path.name}, whose elements no case can use: its size is a "
+                    f"structural parameter, or above {reading.MOST_ELEMENTS}"
+                )
+            raise InputError(f"{where}: {name} is {what}; leave it out")
         return variable
 
 
@@ -241,8 +246,11 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         Exception: If something in it is not what its name promises.
     """
     version = reading.version_of(path, str(model.fmiVersion))
-    found: dict[Interface, Any] = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
-    interfaces = {name: reading.interface_of(one) for name, one in found.items() if one is not None}
+    declared: dict[Interface, Any] = {
+        "co-simulation": model.coSimulation,
+        "model-exchange": model.modelExchange,
+    }
+    interfaces = {name: reading.interface_of(one) for name, one in declared.items() if one is not None}
     if not interfaces:
         raise InputError(
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
@@ -253,7 +261,9 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         raise ValueError(f"{n_event_indicators} event indicators")
     EVENT_INDICATORS.check(n_event_indicators, str(path))
     derivatives = [one.variable for one in model.derivatives if one.variable.derivative is not None]
-    variables = _by_name(reading.variable_of(one, version) for one in model.modelVariables)
+    found = [(str(each.name), reading.elements_of(each, version)) for each in model.modelVariables]
+    variables = _by_name(one for _, elements in found for one in elements)
+    names = {name: tuple(one.name for one in elements) for name, elements in found}
     units = {str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions}
     return FmuDescription(
         path=path,
@@ -267,11 +277,12 @@ def _described(path: Path, content: bytes, model: Any, *, names: Collection[str]
         default_experiment=reading.experiment_of(
             model.defaultExperiment, unit_s=clock_of(variables, units).unit_s or 1.0
         ),
-        states=tuple(str(one.derivative.name) for one in derivatives),
-        derivatives=tuple(str(one.name) for one in derivatives),
+        states=tuple(name for one in derivatives for name in names[str(one.derivative.name)]),
+        derivatives=tuple(name for one in derivatives for name in names[str(one.name)]),
         depends_on={
-            str(unknown.variable.name): frozenset(str(one.name) for one in unknown.dependencies)
+            element: frozenset(name for one in unknown.dependencies for name in names[str(one.name)])
             for unknown in model.derivatives
+            for element in names[str(unknown.variable.name)]
             # By the standard, None is "may depend on all", and an empty list "on nothing".
             if unknown.dependencies is not None
         },

@@ -50,7 +50,7 @@ FLAGS = {
 @cache
 def prepare() -> None:
     """Compile the loop, for whatever FMU, once in a process."""
-    table, places = np.zeros((0, 5), dtype=np.intp), np.zeros(0, dtype=np.int64)
+    table, places = np.zeros((0, 6), dtype=np.intp), np.zeros(0, dtype=np.int64)
     references, values = np.zeros(0, dtype=np.uint32), np.zeros(0)
     y = np.zeros((0, 0))
     make_ready(loop.simulate_row, places, table, table, places, references, values, 1, 1.0, (values,) * 3, y)
@@ -74,6 +74,7 @@ class ModelExchange:
             InputError: If the FMU's binary lacks a function, or a state is an array.
         """
         for name in description.states:
+            # Of a size that a parameter says; others are states of their own, element by element.
             if description.variables[name].shape:
                 raise InputError(
                     f"{description.path}: state {name} is an array, which model exchange cannot integrate; "

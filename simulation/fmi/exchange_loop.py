@@ -53,7 +53,7 @@ def _go_through_event(
         info: Four numbers of scratch.
         vectors: States, states inside a step, absolute tolerances. Each of shape (max(1, n),).
         rtol: Relative tolerance.
-        inputs: What sets the inputs (see loop). Shape (n_functions, 5), intp.
+        inputs: What sets the inputs (see loop). Shape (n_functions, 6), intp.
         step: Step whose inputs are set in it, _NO_INPUTS, or _FIRST for the end of the initialization.
 
     Returns:
@@ -111,19 +111,19 @@ def _read(
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SIZE,).
-        seen: What sets the inputs that outputs see (see loop). Shape (n_functions, 5), intp.
+        seen: What sets the inputs that outputs see (see loop). Shape (n_functions, 6), intp.
         behind: Rows of the table of inputs, whose stages come first.
         passed: The edge; the inputs of the step before it are set, and are again afterwards.
         n_steps: Steps, whose inputs come first in `seen`.
         every: Steps per output step.
-        references: Value references of the outputs. Shape (k,), uint32.
-        y: Outputs to fill. Shape (t, k).
+        references: Value references of the outputs. Shape (n_references,), uint32.
+        y: Outputs to fill. Shape (t, n_values).
     """
     status, row = set_inputs(table[calls.COMPONENT], seen, n_steps + passed)
     if status <= WARNING:
-        n = references.size
-        address = np.intp(y.ctypes.data) + passed // every * n * y.itemsize
-        if not calls.called(table, calls.GET, (np.intp(references.ctypes.data), n, address, n)):
+        n, n_values = references.size, y.shape[1]
+        address = np.intp(y.ctypes.data) + passed // every * n_values * y.itemsize
+        if not calls.called(table, calls.GET, (np.intp(references.ctypes.data), n, address, n_values)):
             return False
         status, row = set_inputs(table[calls.COMPONENT], seen, max(passed - 1, 0))
     if status > WARNING:
@@ -151,16 +151,16 @@ def simulate_row(
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SIZE,).
-        inputs: What sets the inputs (see loop). Shape (n_functions, 5), intp.
+        inputs: What sets the inputs (see loop). Shape (n_functions, 6), intp.
         seen: The same for inputs that outputs see: over the m steps, then at the m + 1 edges; may be empty.
-            Shape (n_functions, 5), intp.
+            Shape (n_functions, 6), intp.
         changes: Edges before which the inputs change, and the last edge. Shape (n_changes + 1,).
-        output_references: Value references. Shape (k,), uint32.
+        output_references: Value references. Shape (n_references,), uint32.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
         rtol: Relative tolerance.
         vectors: States, states inside a step, absolute tolerances, shared with CVODE. Each (max(1, n),).
-        y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
+        y: Filled with the outputs, contiguous. Shape (t, n_values). [model's units]
 
     Returns:
         How it ended, details being in the table, and the time. [s]

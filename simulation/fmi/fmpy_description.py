@@ -25,6 +25,8 @@ from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
 LAST_REFERENCE = 2**32 - 1  # value references are unsigned 32-bit integers
+MOST_ELEMENTS = 1000
+"""Of an array that a case can use: longer ones are fields, which nobody names by element."""
 # Folders of binaries by FMI version: of this platform, of 64-bit Windows, of 32-bit Windows.
 PLATFORM_FOLDERS = {"2.0": fmpy.platform, "3.0": fmpy.platform_tuple}
 _WINDOWS = {"2.0": "win64", "3.0": "x86_64-windows"}
@@ -191,6 +193,17 @@ def variable_of(variable: Any, version: FmiVersion) -> FmuVariable:
         setter=setter,
         dtype=dtype,
     )
+
+
+def elements_of(variable: Any, version: FmiVersion) -> tuple[FmuVariable, ...]:
+    """Convert a variable of fmpy: an array of a fixed size becomes its elements.
+
+    One whose size a structural parameter says stays an array, which no case can use, and so does a long one.
+    """
+    one = variable_of(variable, version)
+    is_fixed = all(dimension.start is not None for dimension in variable.dimensions or ())
+    is_used = is_fixed and one.dtype is not None and 0 < math.prod(one.shape) <= MOST_ELEMENTS
+    return one.elements if is_used else (one,)
 
 
 def number_or_none(text: object) -> float | None:

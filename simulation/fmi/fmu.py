@@ -108,14 +108,13 @@ class FmuSettings:
         inputs = found(scenario.input_names, "input")
         for variable, values in zip(inputs, scenario.inputs.T, strict=True):
             variable.check_series(values, scenario.time_communication, f"{where}: input {variable.name}")
-        references = [variable.reference for variable in found(self.output_names, "output")]
         suggested = description.default_experiment.tolerance
         return RunPlan(
             calibrated=found(self.set_names, "parameter"),
             fixed=tuple(held(name, value) for name, value in self.fixed.items()),
             input_variables=inputs,
             scenario=scenario,
-            output_references=np.array(references, dtype=np.uint32),
+            outputs=found(self.output_names, "output"),
             tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
             time_unit_s=self.time_unit_s,
         )
@@ -176,7 +175,7 @@ class FmuModel:
         description.interface(settings.interface, str(settings.path))
         plan = settings.plan(description)
         # The warm-up is simulated into rows that are not handed out.
-        self._y_simulated = plan.empty_y()
+        self._plan, self._y_simulated = plan, plan.empty_y()
         with ExitStack() as stack:
             driven = description.interface(settings.interface, str(settings.path))
             scratch = unpacked(settings.path, driven.binary)
@@ -222,7 +221,7 @@ class FmuModel:
             values = settings.parameters_for_fmu(row)
             reason = wrong_number(settings.set_names, values) or self._runner.run(values, self._y_simulated)
         if not reason:
-            simulated = self._y_simulated[settings.scenario.n_warmup :]
+            simulated = self._plan.outputs_of(self._y_simulated[settings.scenario.n_warmup :])
             if settings.output_factors is not None:
                 simulated = np.multiply(simulated, settings.output_factors, out=y)
             np.add(simulated, settings.output_offsets, out=y)

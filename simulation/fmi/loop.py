@@ -21,8 +21,8 @@ WARNING = 1
 ENDED = 100
 EARLY = 101
 # Columns of the inputs' table: what is called, with which references, how many, from which values on, and how
-# many bytes further for the next step.
-FUNCTION, REFERENCES, COUNT, VALUES, STRIDE = range(5)
+# many bytes further for the next step; how many values, more than references where these are of arrays.
+FUNCTION, REFERENCES, COUNT, VALUES, STRIDE, N_VALUES = range(6)
 
 
 @compiled
@@ -31,7 +31,7 @@ def set_inputs(component: int, inputs: Any, step: int) -> tuple[int, int]:
 
     Args:
         component: Address of the instance.
-        inputs: Table of the inputs. Shape (n_functions, 5), intp.
+        inputs: Table of the inputs. Shape (n_functions, 6), intp.
         step: The step.
 
     Returns:
@@ -40,7 +40,8 @@ def set_inputs(component: int, inputs: Any, step: int) -> tuple[int, int]:
     for row in range(inputs.shape[0]):
         references, n = inputs[row, REFERENCES], inputs[row, COUNT]
         values = inputs[row, VALUES] + step * inputs[row, STRIDE]
-        status = call_status(inputs[row, FUNCTION], (component, references, n, values, n))
+        arguments = (component, references, n, values, inputs[row, N_VALUES])
+        status = call_status(inputs[row, FUNCTION], arguments)
         if status > WARNING:
             return status, row
     return 0, 0
@@ -62,21 +63,21 @@ def step_through(
     Args:
         functions: Addresses of FUNCTIONS. Shape (2,), intp.
         component: Address of the instance.
-        inputs: Table of the inputs. Shape (n_functions, 5), intp.
-        output_references: Value references. Shape (k,), uint32.
+        inputs: Table of the inputs. Shape (n_functions, 6), intp.
+        output_references: Value references. Shape (n_references,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
         reached: Filled with the time that the last step got to (FMI 3.0). Shape (1,). [s]
-        y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
+        y: Filled with the outputs, contiguous. Shape (t, n_values). [model's units]
 
     Returns:
         Status of the last call (0 or 1 when all went well; ENDED where the FMU wants no further step, EARLY
         where it stopped within one), its stage, and its step.
     """
-    n_outputs, n_steps = output_references.size, time.size - 1
+    n_outputs, n_values, n_steps = output_references.size, y.shape[1], time.size - 1
     # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
     # signed, as numba adds an unsigned and a signed integer to a float.
-    y_stride = n_outputs * y.itemsize
+    y_stride = n_values * y.itemsize
     y_address = np.intp(y.ctypes.data)
     output_list = output_references.ctypes.data
     # Three C bools: event handling needed, simulation to be terminated, returned early.
@@ -85,7 +86,7 @@ def step_through(
     # One turn more than steps: the first output lies at the first edge, before any step.
     for step in range(n_steps + 1):
         if step % output_every == 0:
-            status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
+            status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_values))
             if status > WARNING:
                 return status, _GET, max(0, step - 1)
             y_address += y_stride

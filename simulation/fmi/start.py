@@ -16,10 +16,10 @@ class Start:
 
     Attributes:
         inputs: The inputs, by the functions that set them.
-        input_table: The same for the loops (see loop). Shape (n_functions, 5), intp.
+        input_table: The same for the loops (see loop). Shape (n_functions, 6), intp.
         seen: The continuous inputs, by functions: over the m steps, then at the m + 1 edges; none where
             outputs see their step's inputs.
-        seen_table: The same for the loops. Shape (n_functions, 5), intp.
+        seen_table: The same for the loops. Shape (n_functions, 6), intp.
     """
 
     def __init__(self, instance: FmuInstance, plan: RunPlan) -> None:
@@ -67,6 +67,9 @@ class Start:
 
 
 def _table(instance: FmuInstance, settings: Sequence[Setting]) -> Any:
-    """Return settings for the loops (see loop). Shape (n_functions, 5), intp."""
-    calls = [(instance.addresses(s.function)[0], *s.arguments[:3], s.values.strides[0]) for s in settings]
-    return np.array(calls, dtype=np.intp).reshape(-1, 5)
+    """Return settings for the loops (see loop). Shape (n_functions, 6), intp."""
+    calls = [
+        (instance.addresses(s.function)[0], *s.arguments[:3], s.values.strides[0], s.values.shape[1])
+        for s in settings
+    ]
+    return np.array(calls, dtype=np.intp).reshape(-1, 6)

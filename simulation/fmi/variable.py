@@ -1,7 +1,7 @@
 """The parts of an FMU's description: its variables, its interfaces, the experiment it suggests."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -70,6 +70,8 @@ class FmuVariable:
         setter: Function that sets it, without the version, "" for none.
         dtype: C type of its values, None for text and for what nothing sets.
         namesakes: Value references of other variables with the same name, which the standard forbids.
+        array: Of an element, as `y[1]`, the start values of the whole array, whose reference it has; () else.
+        element: Its place in that array, from 0 on.
     """
 
     name: str
@@ -90,6 +92,8 @@ class FmuVariable:
     setter: str = ""
     dtype: Any = None
     namesakes: tuple[int, ...] = ()
+    array: tuple[float, ...] = ()
+    element: int = 0
 
     @property
     def is_start_value(self) -> bool:
@@ -104,6 +108,29 @@ class FmuVariable:
     def is_out_of_reach(self) -> bool:
         """Whether nothing here can set or read it: an array, a clock, bytes."""
         return bool(self.shape) or self.kind in ("Binary", "Clock")
+
+    @property
+    def elements(self) -> "tuple[FmuVariable, ...]":
+        """An array's elements as variables of their own, `A[1,1]` to `A[m,n]`; of a scalar itself."""
+        if not self.shape:
+            return (self,)
+        places = [*np.ndindex(self.shape)]
+        words = self.start_text.split()
+        texts = words if len(words) == len(places) else [words[0] if len(words) == 1 else ""] * len(places)
+        starts = [_start_number(text) for text in texts]
+        whole = tuple(0.0 if start is None else start for start in starts)
+        return tuple(
+            replace(
+                self,
+                name=f"{self.name}[{','.join(str(place + 1) for place in at)}]",
+                start=start,
+                start_text=text,
+                shape=(),
+                array=whole,
+                element=k,
+            )
+            for k, (at, start, text) in enumerate(zip(places, starts, texts, strict=True))
+        )
 
     def require_once(self, where: str) -> None:
         """Check that no other variable has its name.
@@ -188,6 +215,15 @@ class FmuVariable:
     def _limits(self) -> tuple[int, int]:
         limits = np.iinfo(self.dtype)
         return limits.min, limits.max
+
+
+def _start_number(text: str) -> float | None:
+    """Return a start value of an element as a number, None for none."""
+    try:
+        value = float({"true": "1", "false": "0"}.get(text, text))
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
 
 
 @dataclass(frozen=True)

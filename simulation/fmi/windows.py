@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.errors import InputError
 from simulation.fmi.cosimulation import why_failed
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.log import forget_messages, note_message
@@ -51,6 +52,13 @@ class WindowsFmu(Instance):
         """
         super().__init__(description.path, description.fmi_version)
         found = description.interface(interface, str(description.path))
+        fixed = (one for one, _ in plan.fixed)
+        for one in (*plan.calibrated, *fixed, *plan.input_variables, *plan.outputs):
+            if one.array:
+                raise InputError(
+                    f"{description.path}: {one.name} is of an array, which is used of FMUs for Linux alone; "
+                    "export or compile it for Linux"
+                )
         self._plan = plan
         self._row = RowCalls(plan, self.version)
         self._names = [name for name, _ in self._row.calls] + [*FUNCTIONS]
@@ -174,7 +182,7 @@ def _text(text: str) -> bytes:
 def _values(one: Setting, *, n_steps: int) -> bytes:
     """Return what the worker's next_values() reads."""
     size = 0 if one.texts else one.values.itemsize
-    head = struct.pack("<III", len(one.columns), size, n_steps) + one.references.tobytes()
+    head: bytes = struct.pack("<III", len(one.columns), size, n_steps) + one.references.tobytes()
     if one.texts:
         return head + b"".join(_number(len(text)) + text for text in one.texts)
     return head + np.ascontiguousarray(one.values[:n_steps]).tobytes()

@@ -54,8 +54,16 @@ def petab_case(problem_file: Path, fmu_file: Path, paths: ProjectPaths, to: Path
     shared = {
         name: to for held in petab.conditions.values() for to, name in _held(held).get("shared", {}).items()
     }
+    for name in petab.noise:
+        if name in fmu.variables or name in shared:
+            raise InputError(
+                f"{problem_file}: {name} is estimated as a parameter of the model and of the noise, which a "
+                "case cannot say; give the noise one of its own"
+            )
     parameters = {
-        name: _table(petab, name, fmu, problem_file, shared.get(name, name)) for name in petab.estimated
+        name: _table(petab, name, fmu, problem_file, shared.get(name, name))
+        for name in petab.estimated
+        if name not in petab.noise
     }
     samples = petab.samples.assign(time=petab.samples["time"] * unit_s)
     step_s = _step(samples["time"].to_numpy(), unit_s)
@@ -193,4 +201,13 @@ def _note(petab: Petab, name: str) -> str:
     beside = petab.chi2_of_replicates
     more = f" + {beside:.10g}, of replicates" if beside else ""
     factor = len(samples) / variance
-    return f"PEtab problem {name}, {count(len(samples), 'sample')}: chi2 = {factor:.10g} MSE{more}."
+    said = f"PEtab problem {name}, {count(len(samples), 'sample')}: chi2 = {factor:.10g} MSE{more}."
+    if petab.noise:
+        held = "is held at its nominal value: estimate it"
+        if len(petab.noise) > 1:
+            held = "are held at their nominal values: estimate each"
+        said += (
+            f" Of the noise, {', '.join(petab.noise)} {held} afterwards, as the root mean square error of "
+            "what it is the noise of; where that differs much, write it as nominal value and calibrate again."
+        )
+    return said

@@ -233,7 +233,7 @@ class _Search:
 
 def _linear(space: ParameterSpace) -> ParameterSpace:
     """Return the same box without logarithmic coordinates."""
-    if space.constraints:
+    if space.is_bent:
         # There the cube's edges depend on each other, and their own coordinates are kept.
         return space
     return ParameterSpace(tuple(replace(parameter, scale="linear") for parameter in space.parameters))

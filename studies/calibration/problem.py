@@ -114,7 +114,7 @@ class CalibrationProblem:
             and np.array_equal(mine.lower, theirs.lower)
             and np.array_equal(mine.upper, theirs.upper)
             and np.array_equal(mine.is_log, theirs.is_log)
-            and mine.constraints == theirs.constraints
+            and (mine.constraints, mine.sums) == (theirs.constraints, theirs.sums)
         )
         if not same:
             raise InputError(

@@ -162,11 +162,11 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
     declared = {
         "num_vars": space.n_parameters,
         "names": list(space.names),
-        "bounds": ends if space.constraints else np.column_stack([space.lower, space.upper]).tolist(),
+        "bounds": ends if space.is_bent else np.column_stack([space.lower, space.upper]).tolist(),
     }
     # Second order would take 2 p + 2 rows per block instead of p + 2.
     rows = sobol.sample(declared, n_base, calc_second_order=False, seed=seed)
-    return space.from_unit(rows) if space.constraints else rows
+    return space.from_unit(rows) if space.is_bent else rows
 
 
 def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress) -> FloatArray:

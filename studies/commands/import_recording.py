@@ -45,5 +45,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         list(zip(files, report.n_rows, strict=True)),
     )
     console.result(f"{report.duration_d:.2f} days; calibrate against them: studies calibrate office-recorded")
+    if chosen.file.lower().endswith(".fmu"):
+        authors = paths.show(paths.fmus / "office-authors" / "ThermalNetwork.fmu")
+        console.result(f"this FMU itself: copy it to {authors}, and studies calibrate office-authors")
     console.document({"command": "import-recording", **asdict(report), "files": files})
     return OK

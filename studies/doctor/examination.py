@@ -265,7 +265,7 @@ class _Examination:
             return []
         better = mixups.better_outputs(case, known)
         better += self._better_inputs(known)
-        return list(mixups.look_at_mixups(better))
+        return [*mixups.look_at_mixups(better), *mixups.look_at_scales(case, known)]
 
     def _means(self, timed: TimedModel) -> list[Finding]:
         """Look whether samples are means, once all else is known: that takes the most simulations."""

@@ -1,8 +1,8 @@
-"""Whether samples that are compared as values of moments are rather means over the sampling interval.
+"""Whether samples that are compared as values of moments are rather means, late, or off by a constant.
 
-Such means lag behind the moments of their stamps. Wrong parameters make up for a part of that, so the
-parameters are fitted before errors are compared. The slopes of the fit to moments say which means would fit
-best; these alone are tried.
+Means over the sampling interval lag behind the moments of their stamps. Wrong parameters make up for a part
+of that, so the parameters are fitted before errors are compared. The slopes of the fit to moments say which
+other reading of the samples would fit best; that alone is tried.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -13,6 +13,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.measurement import Measurement
+from simulation.samples import Samples
 from simulation.trajectories import Trajectories
 from studies.doctor.finding import Finding, finding
 from studies.words.wording import quantity, square_of
@@ -21,6 +22,8 @@ Simulate = Callable[[FloatArray], Trajectories]
 """Answers rows. Shape (n, p). [per parameter]"""
 FAR_BETTER = 0.5
 """Means are named if they leave less than this share of the error. By hand: others come from noise."""
+MOST = 0.25
+"""Other readings are named if they leave less than this: means over an interval are the usual mistake."""
 N_ROUNDS = 8
 """Steps downhill of a fit; Gauss-Newton steps near an optimum need three or four."""
 STEP = 0.01
@@ -40,7 +43,7 @@ def rows_for_means(case: Case) -> int:
 
 
 def look_at_means(case: Case, simulate: Simulate, known: Trajectories) -> Iterator[Finding]:
-    """Name means over the sampling interval that explain the data far better than moments.
+    """Name another reading of the samples that explains the data far better than values of moments.
 
     Args:
         case: The case of a single experiment.
@@ -56,43 +59,131 @@ def look_at_means(case: Case, simulate: Simulate, known: Trajectories) -> Iterat
     )
     if fit is None:
         return
-    groups = [{k: length_s} for k, length_s in lengths_s.items()]
-    groups += [lengths_s] * (len(lengths_s) > 1)
-    tried = [
-        (fit.expected(means), stamp, group, means)
-        for group in groups
-        for stamp in STAMPS
-        if (means := _with_means(case.measurement, group, stamp, beside=lengths_s)) is not None
-    ]
-    expected, stamp, group, means = min(tried, key=lambda one: one[0])
-    if expected >= FAR_BETTER * fit.mse:
+    readings = [*_means(case, lengths_s), *_shifts(plain, lengths_s), *_offsets(plain, lengths_s)]
+    # As a share of what each may leave: where a shift leaves half of what means do, means are likelier.
+    reading = min(readings, key=lambda one: fit.expected(one.measurement) / one.most)
+    if fit.expected(reading.measurement) >= reading.most * fit.mse:
         return
-    other = _Fit.of(case, simulate, means, fit.u)
-    if other is None or other.mse >= FAR_BETTER * fit.mse:
+    other = _Fit.of(case, simulate, reading.measurement, fit.u)
+    if other is None or other.mse >= reading.most * fit.mse:
         return
     # A fit that goes on finds less in any case: so does that to moments, from the same point.
     again = _Fit.of(case, simulate, plain, other.u)
-    if again is not None and other.mse < FAR_BETTER * again.mse:
+    if again is not None and other.mse < reading.most * again.mse:
         unit = square_of(case.outputs[0].unit)
-        more = f' and mean_stamp = "{stamp}"' * (stamp != "end")
-        yield finding(
-            "means",
-            stamp={"end": "end", "begin": "begin", "centre": "have their centre"}[stamp],
-            names=", ".join(case.outputs[k].name for k in group),
-            means=quantity(other.mse, unit),
-            moments=quantity(min(fit.mse, again.mse), unit),
-            keys="; ".join(
+        words = {"better": quantity(other.mse, unit), "moments": quantity(min(fit.mse, again.mse), unit)}
+        if isinstance(reading.measurement, _Freed):
+            words["offset"] = reading.measurement.said(other.y[:1])
+        yield finding(reading.key, "warn", **words, **reading.words)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """What samples may be instead of values of moments.
+
+    Attributes:
+        key: Its finding.
+        words: What completes that.
+        measurement: The samples read so.
+        most: Share of the error that it may leave.
+    """
+
+    key: str
+    words: Mapping[str, str]
+    measurement: "Measurement | _Freed"
+    most: float = MOST
+
+
+def _means(case: Case, lengths_s: Mapping[int, float]) -> Iterator[_Reading]:
+    """Yield means over the sampling intervals [s] of the outputs, by position: of each, and of all."""
+    groups = [{k: length_s} for k, length_s in lengths_s.items()]
+    groups += [dict(lengths_s)] * (len(lengths_s) > 1)
+    for group in groups:
+        for stamp in STAMPS:
+            means = _with_means(case.measurement, group, stamp, beside=lengths_s)
+            if means is None:
+                continue
+            more = f' and mean_stamp = "{stamp}"' * (stamp != "end")
+            keys = (
                 f"outputs[{case.outputs[k].name}] mean_over_s = {length_s:.12g}{more}"
                 for k, length_s in group.items()
-            ),
+            )
+            words = {
+                "stamp": {"end": "end", "begin": "begin", "centre": "have their centre"}[stamp],
+                "names": ", ".join(case.outputs[k].name for k in group),
+                "keys": "; ".join(keys),
+            }
+            yield _Reading("means", words, means, FAR_BETTER)
+
+
+def _shifts(plain: Measurement, lengths_s: Mapping[int, float]) -> Iterator[_Reading]:
+    """Yield samples that were taken half a sampling interval [s] earlier or later than they say."""
+    for k, length_s in lengths_s.items():
+        one = plain.outputs[k]
+        for shift_s, word in ((-0.5 * length_s, "earlier"), (0.5 * length_s, "later")):
+            moved = replace(one.samples, time=one.samples.time + shift_s)
+            words = {"name": one.name, "shift": f"{abs(shift_s):.12g} s {word}"}
+            yield _Reading("shifted", words, _with_output(plain, k, moved))
+
+
+def _offsets(plain: Measurement, lengths_s: Mapping[int, float]) -> Iterator[_Reading]:
+    """Yield samples that are off by a constant, whichever explains most."""
+    for k in lengths_s:
+        samples = plain.outputs[k].samples
+        raised = _with_output(plain, k, replace(samples, values=samples.values + 1.0))
+        yield _Reading(
+            "offset", {"name": plain.outputs[k].name}, _Freed(plain, raised, plain.outputs[k].unit)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Freed:
+    """A measurement one of whose outputs is off by a constant, which is fitted to each row.
+
+    Attributes:
+        plain: The measurement as it is.
+        raised: The same with samples that are higher by 1 in the output's unit.
+        unit: The output's unit.
+    """
+
+    plain: Measurement
+    raised: Measurement
+    unit: str
+
+    def _fitted(self, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return residuals, what 1 adds to them, and by how much samples are too high. Shape (n, ...)."""
+        residuals = self.plain.compared(y)
+        one = self.raised.compared(y) - residuals
+        high = np.sum(one * residuals, axis=1, keepdims=True) / np.sum(one**2, axis=1, keepdims=True)
+        return residuals, one, high
+
+    def compared(self, y: FloatArray) -> FloatArray:
+        """Return the residuals as `Measurement` does."""
+        residuals, one, high = self._fitted(y)
+        return residuals - high * one
+
+    def mse(self, y: FloatArray) -> FloatArray:
+        """Return the error as `Measurement` does."""
+        error = np.mean(self.compared(y) ** 2, axis=1)
+        return np.where(np.isfinite(error), error, np.inf)
+
+    def said(self, y: FloatArray) -> str:
+        """Say by how much samples are too high or too low, at one row."""
+        high = float(self._fitted(y)[2][0, 0])
+        return f"{quantity(abs(high), self.unit)} too {'high' if high > 0.0 else 'low'}"
+
+
+def _with_output(measurement: Measurement, k: int, samples: Samples) -> Measurement:
+    outputs = list(measurement.outputs)
+    outputs[k] = replace(outputs[k], samples=samples)
+    return replace(measurement, outputs=tuple(outputs))
 
 
 def _lengths_s(case: Case) -> dict[int, float]:
     """Return the sampling intervals of the outputs that may be measured as means, by position. [s]."""
     found = {}
     for k, one in enumerate(case.outputs):
-        if one.is_measured and not one.samples.are_means:
+        if one.is_measured and not one.samples.are_means and one.samples.since_s is None:
             length_s = float(np.median(np.diff(one.samples.time)))
             # Between two outputs no mean differs from the moment in its middle.
             if length_s >= (1.0 - 1e-6) * case.output_step_s:
@@ -152,7 +243,9 @@ class _Fit:
     mse: float
 
     @classmethod
-    def of(cls, case: Case, simulate: Simulate, measurement: Measurement, u: FloatArray) -> "_Fit | None":
+    def of(
+        cls, case: Case, simulate: Simulate, measurement: Measurement | _Freed, u: FloatArray
+    ) -> "_Fit | None":
         """Walk downhill by damped Gauss-Newton steps; None where the first neighbours fail.
 
         Args:
@@ -182,12 +275,12 @@ class _Fit:
             u = trials[np.argmin(errors)]
         return found
 
-    def linearised(self, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
+    def linearised(self, measurement: Measurement | _Freed) -> tuple[FloatArray, FloatArray]:
         """Return residuals (m,) and their slopes (m, p) at the point. [unit, unit per range]."""
         residuals = measurement.compared(self.y)
         return residuals[0], ((residuals[1:] - residuals[0]) / self.steps[:, None]).T
 
-    def expected(self, measurement: Measurement) -> float:
+    def expected(self, measurement: Measurement | _Freed) -> float:
         """Return the least error that slopes expect of another measurement. [first output's unit squared]."""
         residuals, slopes = self.linearised(measurement)
         walk = np.linalg.lstsq(slopes, residuals, rcond=1e-6)[0]

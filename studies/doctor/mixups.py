@@ -25,6 +25,14 @@ UNEXPLAINED = 0.5
 """And, apart from its mean, this share of the measurement's variance: a poor fit speaks for nothing."""
 GOOD_FIT = 0.1
 """A fit that leaves no more of the variance could not become far better."""
+_FACTORS = {
+    factor**sign: f"{word} {factor:.12g}"
+    for factor in (1000.0, 3600.0, 3.6e6)
+    for sign, word in ((1, "times"), (-1, "divided by"))
+}
+"""Between W, kW, J, Wh and kWh, in words."""
+NEAR, FARTHER = 4.0, 0.01
+"""Another scale also counts where simulations come within two deviations of it, and were ten times as far."""
 N_POINTS = 32
 """Points that each other order or sign of inputs is tried at."""
 N_FIRST = 4
@@ -140,6 +148,39 @@ def better_outputs(case: Case, known: Trajectories) -> list[Better]:
         for said, columns, other in _output_mixups(measurement)
     ]
     return [one for one in found if one[0] < 1.0]
+
+
+def look_at_scales(case: Case, known: Trajectories) -> Iterator[Finding]:
+    """Name usual factors and offsets between units, without which no simulation comes near a measurement.
+
+    Args:
+        case: The case.
+        known: Good simulations all over the box.
+    """
+    lines = []
+    for k in case.measurement.measured:
+        one = case.measurement.outputs[k]
+        simulated = case.measurement.differences(known.y, k) + one.samples.values
+        # Each reading's least difference, as a share of the variance that it would have itself.
+        usual = float(np.var(one.samples.values))
+        if one.limits is not None or one.samples.since_s is not None or not usual > 0.0:
+            continue
+
+        def left(
+            factor: float, offset: float, k: int = k, s: FloatArray = simulated, v: float = usual
+        ) -> float:
+            values = factor * case.measurement.outputs[k].samples.values + offset
+            return float(np.mean((s - values) ** 2, axis=1).min()) / (factor**2 * v)
+
+        readings = [(factor, 0.0, said) for factor, said in _FACTORS.items()]
+        if _is_temperature(one.unit):
+            readings = [(1.0, offset, f"{offset:+g}") for offset in (-273.15, 273.15)]
+        share, said = min((left(factor, offset), said) for factor, offset, said in readings)
+        plain = left(1.0, 0.0)
+        is_explained = share <= min(UNEXPLAINED, FAR_BETTER * plain)
+        if plain > 1.0 and (is_explained or share <= min(NEAR, FARTHER * plain)):
+            lines.append(f"{one.name}: simulations reach the measured values {said}, and not as they are")
+    yield from named("scale", lines, "; ")
 
 
 def points_to_try(case: Case, known: Trajectories) -> FloatArray:

@@ -297,7 +297,15 @@ def _with_start_values(description: bytes, found: CalibratedValues) -> bytes:
     root = ElementTree.fromstring(description, ElementTree.XMLParser(target=builder))
     values = {one.name: one for one in found.values}
     for element in root.iterfind("ModelVariables/*"):
-        one = values.get(element.get("name", ""))
+        one = values.get(name := element.get("name", ""))
+        if elements := [
+            each for each in found.values if each.variable.array and each.name.rpartition("[")[0] == name
+        ]:
+            words = element.get("start", "").split() or ["0"]
+            words *= len(elements[0].variable.array) // len(words)
+            for each in elements:
+                words[each.variable.element] = each.text
+            element.set("start", " ".join(words))
         if one is None:
             continue
         if found.case.fmu.fmi_version == "2.0":

@@ -4,7 +4,7 @@ import argparse
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from studies.new.choice import (
     inputs_of,
     parameter_candidates,
 )
+from studies.new.column_kinds import noise_of, switches_of
 from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
 from studies.paths import ProjectPaths, mark_project
 from studies.words.console import Column, Console
@@ -73,6 +74,7 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         parameters=chosen,
         times=choose_times(fmu),
     )
+    case = replace(case, switches=switches_of(case, data), noise=noise_of(case, data))
     for one in (*case.inputs, *case.outputs.used, *case.parameters.used):
         one.require_once(str(fmu_file))
     case_file, copied = folder / "case.toml", folder / fmu_file.name

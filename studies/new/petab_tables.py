@@ -59,6 +59,7 @@ class Petab:
         known: Values of the others.
         conditions: What holds in each condition, by name: a number, or the name of an estimated parameter.
         chi2_of_replicates: What joining replicates took from the sum of squares.
+        noise: Estimated parameters that are the noise's; they have their nominal values in the deviations.
     """
 
     samples: pd.DataFrame
@@ -67,6 +68,7 @@ class Petab:
     known: Mapping[str, float]
     conditions: Mapping[str, Condition]
     chi2_of_replicates: float
+    noise: tuple[str, ...] = ()
 
 
 def read_petab(file: Path) -> Petab:
@@ -143,10 +145,15 @@ class _Tables:
                 found.append(known.get(one.strip()))
         return tuple(found)
 
-    def deviations(self, known: Mapping[str, float]) -> list[float]:
-        """Return the standard deviation of each measurement."""
+    def deviations(self, known: Mapping[str, float]) -> tuple[list[float], tuple[str, ...]]:
+        """Return the standard deviation of each measurement, and the estimated parameters in them.
+
+        These have their nominal values.
+        """
         from petab.v1.math import sympify_petab
 
+        said = self.parameters.loc[self.is_estimated].get("nominalValue", pd.Series(dtype=float)).dropna()
+        nominal, noise = {str(name): float(value) for name, value in said.items()}, dict[str, None]()
         seen: dict[tuple[str, str], float] = {}
         found = []
         cells = self.measurements.get("noiseParameters", pd.Series(index=self.measurements.index))
@@ -154,10 +161,13 @@ class _Tables:
             key = (str(observable), str(cell))
             if key not in seen:
                 formula = self.observables.loc[observable, "noiseFormula"]
-                values = dict(zip(self.placeholders(observable), self.numbers(cell, known), strict=False))
+                numbers = self.numbers(cell, {**nominal, **known})
+                values = dict(zip(self.placeholders(observable), numbers, strict=False))
+                noise |= dict.fromkeys(one.strip() for one in str(cell).split(";") if one.strip() in nominal)
                 expression = sympify_petab(formula)
                 for symbol in expression.free_symbols:
-                    value = values.get(str(symbol), known.get(str(symbol)))
+                    value = values.get(str(symbol), known.get(str(symbol), nominal.get(str(symbol))))
+                    noise |= dict.fromkeys({str(symbol)} & nominal.keys() - values.keys())
                     if value is None:
                         raise self.refuse(
                             f"the noise of {observable}, {shortened(str(formula))}, depends on what is "
@@ -168,7 +178,7 @@ class _Tables:
                 if not seen[key] > 0.0:
                     raise self.refuse(f"the noise of {observable} is {seen[key]:g}; give one above 0")
             found.append(seen[key])
-        return found
+        return found, tuple(noise)
 
     def placeholders(self, observable: str) -> list[str]:
         """Return the names in a noise formula that numbers of measurements stand for."""
@@ -215,13 +225,14 @@ class _Tables:
         conditions, of_each = self.conditions(known)
         if undeclared := {*of_each} - {*conditions}:
             raise self.refuse(f"measurements of the condition {min(undeclared)}, which is declared nowhere")
+        deviations, noise = self.deviations(known)
         samples = pd.DataFrame(
             {
                 "condition": of_each,
                 "observable": self.measurements["observableId"].to_list(),
                 "time": self.measurements["time"].astype(float).to_list(),
                 "value": self.measurements["measurement"].astype(float).to_list(),
-                "deviation": self.deviations(known),
+                "deviation": deviations,
             }
         )
         if not samples[["time", "value"]].map(math.isfinite).all(axis=None):
@@ -236,6 +247,7 @@ class _Tables:
             known=known,
             conditions=conditions,
             chi2_of_replicates=lost,
+            noise=noise,
         )
 
 

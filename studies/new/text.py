@@ -3,7 +3,8 @@
 import math
 import re
 import shlex
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -37,6 +38,8 @@ class NewCase:
         outputs: The outputs.
         parameters: The parameters.
         times: The time axis.
+        switches: Inputs whose column is there already and has two values.
+        noise: Scatter of the columns of outputs that are there already, by name. [FMU's unit]
     """
 
     name: str
@@ -49,6 +52,8 @@ class NewCase:
     outputs: Choice
     parameters: Choice
     times: Times
+    switches: frozenset[str] = frozenset()
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def tables(self) -> list[tuple[str, tuple[FmuVariable, ...], str]]:

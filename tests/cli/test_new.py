@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+import numpy as np
 import pytest
 from project_for_tests import Run
 
@@ -219,3 +220,41 @@ def test_the_list_shows_every_variable_and_writes_nothing(project: Path, studies
     assert {one["name"] for one in document["parameters"]} >= {"UA", "wall.k", "n.windows", "_cs_tol"}
     assert "wall.d[1]" in studies("new", str(room), "--list").out
     assert sorted(project.rglob("*")) == before
+
+
+def test_columns_that_are_there_say_what_is_a_switch_and_how_far_they_scatter(
+    project: Path, studies: Run, tmp_path: Path
+) -> None:
+    variables = real("k", 1, "parameter", 'start="1"') + real("y", 2, "output", 'unit="W"')
+    variables += real("valve", 3, "input") + real("outside", 4, "input")
+    fmu, data = make_fmu(tmp_path / "Plant.fmu", variables), project / "data" / "plant"
+    data.mkdir(parents=True)
+    time, rng = 600.0 * np.arange(200), np.random.default_rng(0)
+    y = 500.0 + 200.0 * np.sin(time / 2e4) + 3.0 * rng.standard_normal(200)
+    rows = np.column_stack([time, y, (time // 7200) % 2, 5.0 + time / 1e5])
+    for name, columns in (("measured.csv", [0, 1]), ("inputs.csv", [0, 2, 3])):
+        head = ",".join(np.array(["time_s", "y", "valve", "outside"])[columns])
+        np.savetxt(data / name, rows[:, columns], delimiter=",", header=head, comments="")
+    answer = studies("new", str(fmu), "--json")
+    case = case_of(project, "plant")
+    assert {one["name"]: one["interpolation"] for one in case["inputs"]} == {
+        "valve": "held",
+        "outside": "linear",
+    }
+    assert case["outputs"][0]["uncertainty"] == pytest.approx(3.0, rel=0.3)
+    edits = [one["text"] for one in answer.document["edit"]]
+    assert sum("interpolation" in text for text in edits) == 2
+    assert any("the scatter of the column" in text for text in edits)
+
+
+def test_columns_that_cannot_be_read_are_left_to_the_check(
+    project: Path, studies: Run, tmp_path: Path
+) -> None:
+    fmu, data = (
+        make_fmu(tmp_path / "Plant.fmu", real("k", 1, "parameter", 'start="1"') + real("y", 2, "output")),
+        project / "data" / "plant",
+    )
+    data.mkdir(parents=True)
+    (data / "measured.csv").write_text("time_s,y\n0,much\n")
+    assert studies("new", str(fmu)).code == 0
+    assert case_of(project, "plant")["outputs"][0]["uncertainty"] == 1.0

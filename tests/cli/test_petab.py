@@ -203,9 +203,40 @@ def test_the_second_version(new_project: Path, tmp_path: Path, fmu: Path, studie
     assert (k.prior.centre, k.prior.deviation) == pytest.approx((np.exp(-9.0), np.exp(0.7)))
 
 
+NOISY = {
+    "parameters": f"{PARAMETERS}\nk\tlog10\t2e-5\t5e-4\t{K}\t1\nsd\tlog10\t0.01\t10\t0.25\t1\n"
+    "x0\tlin\t280\t340\t300\t0",
+    "observables": f"{OBSERVABLES}\nobs\ty\t2 * noiseParameter1_obs",
+}
+
+
+@pytest.mark.parametrize("is_cell", [True, False])
+def test_an_estimated_parameter_of_the_noise_has_its_nominal_value(
+    new_project: Path, tmp_path: Path, fmu: Path, studies: Run, is_cell: bool
+) -> None:
+    """In a cell of the measurements, or in the formula: the objective at nominal values is PEtab's."""
+    changes = dict(NOISY)
+    if not is_cell:
+        changes["observables"] = f"{OBSERVABLES}\nobs\ty\t2 * sd"
+    file = first_version(tmp_path, **changes)
+    if is_cell:
+        table = tmp_path / "measurements.tsv"
+        table.write_text(table.read_text().replace("\t0.5\n", "\tsd\n"))
+    answer = studies("new", str(file), "--fmu", str(fmu))
+    assert answer.code == 0, answer.err
+    case = load_case(new_project / "fmus" / "decay")
+    assert case.parameter_space.names == ("k",)
+    assert chi2(case) == pytest.approx(12 * (0.25 / 0.5) ** 2, rel=1e-5)
+    assert "Of the noise, sd is held at its nominal value: estimate it afterwards" in case.note
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
+        (
+            NOISY | {"observables": f"{OBSERVABLES}\nobs\ty\t1000 * k"},
+            "k is estimated as a parameter of the model and of the noise",
+        ),
         ({"observables": f"{OBSERVABLES}\nobs\t2 * y\t1"}, "obs is 2 * y, which is no variable of decay.fmu"),
         ({"observables": f"{OBSERVABLES}\nobs\ty\tsd"}, "depends on what is estimated or simulated (sd)"),
         ({"observables": f"{OBSERVABLES}\nobs\ty\t0.1 * y"}, "depends on what is estimated or simulated (y)"),

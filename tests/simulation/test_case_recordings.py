@@ -144,7 +144,10 @@ def test_what_a_clock_change_makes_of_a_clock_is_reported(decay_case: Path):
         load_case(decay_case)
     # A row twice is no clock's fault.
     stamped(decay_case, [*shifted[:5], *shifted[4:-1]])
-    with pytest.raises(InputError, match=r"repeats the line above .* sort the rows and drop duplicates$"):
+    with pytest.raises(
+        InputError,
+        match=r"repeats the line above .* drop duplicates, or give replicates a column each$",
+    ):
         load_case(decay_case)
 
 

@@ -107,3 +107,55 @@ def test_a_problem_of_objects_takes_a_series(tmp_path: Path, monkeypatch: pytest
         {"u": pd.Series(driving(TIME), TIME)},
     )
     np.testing.assert_allclose(problem.case.outputs[0].samples.deviations, deviations)
+
+
+def with_replicates(folder: Path, seed: int, *, keys: str = "") -> Path:
+    """Write three replicates of each moment, of which some are missing; the third is an outlier of none."""
+    rng = np.random.default_rng(seed)
+    cells = [states(TIME) + 0.3 * rng.standard_normal(len(TIME)) for _ in range(3)]
+    text = table("time_s,x1,x2,x3", TIME, *cells).splitlines()
+    for row in rng.integers(1, len(text), 40):
+        text[row] = ",".join(text[row].split(",")[:3]) + ","
+    text[5] = ",".join(text[5].split(",")[:1]) + ",,,"
+    file = DecayingCase(measured="\n".join(text) + "\n").write(folder)
+    replicates = f'replicates = ["x1", "x2", "x3"]\n{keys}'
+    file.write_text(file.read_text().replace('column = "x"\n', replicates).replace(SURE + "\n", ""))
+    return file
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_replicates_are_their_mean_as_sure_as_they_agree(tmp_path: Path, seed: int) -> None:
+    file = with_replicates(tmp_path, seed)
+    (one,) = load_case(file).outputs
+    assert len(one.samples.time) == len(TIME) - 1
+    assert one.samples.deviations is not None
+    np.testing.assert_allclose(
+        np.unique(one.samples.deviations)[[0, -1]], [0.3 / 3**0.5, 0.3 / 2**0.5], rtol=0.2
+    )
+    k, x0, rms = fitted(file)
+    assert rms < 2.0 * 0.3 / 2**0.5
+    assert abs(k / TRUE_K - 1.0) < 0.02
+    assert abs(x0 - TRUE_X0) < 0.3
+
+
+def test_replicates_of_a_sensor_whose_uncertainty_is_known(tmp_path: Path) -> None:
+    (one,) = load_case(with_replicates(tmp_path, 0, keys="uncertainty = 0.6\n")).outputs
+    assert one.samples.deviations is not None
+    np.testing.assert_allclose(np.unique(one.samples.deviations), [0.6 / 3**0.5, 0.6 / 2**0.5])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"x3"]', '"x3"]\ncolumn = "x1"', "replicates says what column says; drop one"),
+        ('"x3"]', '"x3"]\nuncertainty_share = 0.1', "uncertainty_share beside replicates; write a column"),
+        ('["x1", "x2", "x3"]', '["x1", "x1"]', "replicates do not differ, so nothing is known"),
+        ('["x1", "x2", "x3"]', '["x1"]', "at least 2"),
+        ('"x3"]', '"x9"]', "column x9 is missing"),
+    ],
+)
+def test_replicates_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    file = with_replicates(tmp_path, 0)
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(InputError, match=said):
+        load_case(file)

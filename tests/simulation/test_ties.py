@@ -1,5 +1,6 @@
 """Parameters that follow from others: what the FMU gets, and what is refused."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,20 @@ def test_the_fmu_gets_the_expression(tmp_path: Path) -> None:
     assert case.model_digest != load_case(tied(tmp_path / "other", "G12 / 3")).model_digest
 
 
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("G12 * exp(-2 * G12 / GIn)", lambda a, b: a * np.exp(-2.0 * a / b)),
+        ("sqrt(G12 * GIn)", lambda a, b: np.sqrt(a * b)),
+        ("max(G12, GIn) - min(G12, GIn) / 2", lambda a, b: max(a, b) - min(a, b) / 2.0),
+        ("abs(G12 - GIn) + G12 * log(GIn / G12 + 1)", lambda a, b: abs(a - b) + a * np.log(b / a + 1.0)),
+    ],
+)
+def test_functions_in_an_expression(tmp_path: Path, expression: str, expected: Callable[..., float]) -> None:
+    (one,) = load_case(tied(tmp_path / "tied", expression)).settings.ties
+    assert one.value({"G12": 12.0, "GIn": 75.0}) == pytest.approx(expected(12.0, 75.0))
+
+
 def test_a_row_that_the_expression_cannot_answer_fails(tmp_path: Path) -> None:
     case = load_case(tied(tmp_path / "tied", "G12 * GIn / (GIn - 75)"))
     with case.open_model() as model:
@@ -66,6 +81,11 @@ def test_a_row_that_the_expression_cannot_answer_fails(tmp_path: Path) -> None:
         ('__import__("os")', "is not understood"),
         ("G12 ** GIn", "is no whole power"),
         ("12.5", "has no parameter"),
+        ("exp(G12)", "exp of .*; divide it by a value in that unit"),
+        ("max(G12, C1)", "max of .* and .*; correct it"),
+        ("min(G12)", "min has 1 arguments"),
+        ("sqrt(G12)", "sqrt of .*; divide it"),
+        ("eval(G12)", "is not understood; write sums.*and exp, log, sqrt, abs, min, max of them"),
     ],
 )
 def test_what_is_wrong_is_one_line(expression: str, message: str, tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "workbook": (
         csv(r"\Atime_s", "PK\x03\x04"),
-        r"recording\.csv: is a workbook, no CSV file; save its sheet as CSV",
+        r"recording\.csv: is no readable workbook .*; save it again",
     ),
     "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
     "misspelt key of a table": (

@@ -1,5 +1,6 @@
 """Means over an interval: the truth is recovered from them; taken for moments they are named by the check."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from simulation.case import load_case
 from studies.doctor.answers import coverage_points
 from studies.doctor.finding import Finding
 from studies.doctor.means import look_at_means, rows_for_means
+from studies.doctor.mixups import look_at_scales
 
 FINE = np.arange(0.0, 57601.0, 60.0)
 OFFSETS = {"end": 0.0, "begin": 3600.0, "centre": 1800.0}
@@ -100,3 +102,56 @@ def test_few_samples_say_nothing_of_it(tmp_path: Path) -> None:
     )
     case = replace(case, measurement=replace(case.measurement, outputs=(few,)))
     assert rows_for_means(case) == 0
+
+
+def test_what_was_taken_late_or_is_off_is_named(tmp_path: Path) -> None:
+    time = np.arange(0.0, 57601.0, 3600.0)
+    late = table("time_s,x", time, states(np.maximum(time - 1800.0, 0.0)) + noise(len(time)))
+    # Half an hour late; the first sample is not.
+    (one,) = found(
+        DecayingCase(measured=late, time="window_s = [7200, 57600]\nstart_s = 0").write(tmp_path / "late")
+    )
+    assert one.key in ("shifted", "means")
+    assert "far better" in one.found
+
+
+def test_a_constant_offset_is_named(tmp_path: Path) -> None:
+    """Of a model whose level is known: the input and the begin say where it has to lie."""
+    time = np.arange(0.0, 57601.0, 3600.0)
+    file = DecayingCase(measured=table("time_s,x", time, states(time) + 4.0 + noise(len(time)))).write(
+        tmp_path
+    )
+    file.write_text(file.read_text().replace("lower = 280\nupper = 340", "lower = 311.5\nupper = 312.5"))
+    (one,) = found(file)
+    assert one.key == "offset"
+    said = re.search(r"y fits far better if the measured values are (\S+) K too high: ", one.found)
+    assert said is not None
+    # The static gain makes up for a part, as far as the noise leaves that open.
+    assert float(said[1]) == pytest.approx(4.0, abs=0.8)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(1e-3, "times 1000"), (3600.0, "divided by 3600"), (3.6e6, "divided by 3600000")]
+)
+def test_a_factor_between_units_is_named(tmp_path: Path, factor: float, said: str) -> None:
+    time = np.arange(0.0, 57601.0, 600.0)
+    unit = {'unit="K"/>': 'unit="W"/>', '<Unit name="K"/>': '<Unit name="K"/><Unit name="W"/>'}
+    text = table("time_s,x", time, factor * (states(time) + noise(len(time))))
+    file = DecayingCase(measured=text, change=unit).write(tmp_path)
+    file.write_text(file.read_text().replace('unit = "K"\n', 'unit = "W"\n'))
+    case = load_case(file)
+    with case.open_model() as model:
+        known = model.simulate(coverage_points(case))
+        (one,) = look_at_scales(case, known)
+        right = load_case(DecayingCase().write(tmp_path / "right"))
+        assert [*look_at_scales(right, known)] == []
+    assert f"y: simulations reach the measured values {said}, and not as they are" in one.found
+
+
+@pytest.mark.parametrize("offset", [-273.15, 273.15])
+def test_kelvin_taken_for_celsius_are_named(tmp_path: Path, offset: float) -> None:
+    time = np.arange(0.0, 57601.0, 600.0)
+    case = load_case(DecayingCase(measured=table("time_s,x", time, states(time) + offset)).write(tmp_path))
+    with case.open_model() as model:
+        (one,) = look_at_scales(case, model.simulate(coverage_points(case)))
+    assert f"measured values {-offset:+g}, and" in one.found
