@@ -1,7 +1,7 @@
 """What we ask of both: studies, tracking, calibration, reports, the command line, and its words in Python.
 
 The functions do what the commands of their names do: `run`, `tune`, `calibrate`, `check`, `simulate`,
-`sensitivity`, `uncertainty`, `predict`, `report`, `best`, `compare`, `status`, `reproduce`.
+`sensitivity`, `uncertainty`, `choose`, `predict`, `report`, `best`, `compare`, `status`, `reproduce`.
 `load_case` reads a `Case` by its name, and a `Problem` is a case made of objects. What is wrong with a case,
 a keyword or a file is an `InputError` of one line; a stage that fails is a `StageError`.
 """
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from studies.api.judgements import predict as predict
     from studies.api.judgements import report as report
     from studies.api.judgements import uncertainty as uncertainty
+    from studies.api.planning import ChoiceResult as ChoiceResult
+    from studies.api.planning import choose as choose
     from studies.api.problem import Problem as Problem
     from studies.api.projects import BestResult as BestResult
     from studies.api.projects import ComparisonResult as ComparisonResult
@@ -54,6 +56,7 @@ _MODULES = {
     "Case": "simulation.case",
     "CheckResult": "studies.api.judgements",
     "ComparisonResult": "studies.api.projects",
+    "ChoiceResult": "studies.api.planning",
     "Console": "studies.words.console",
     "InputError": "simulation.errors",
     "LeastSquaresTRF": "studies.calibration.polish",
@@ -73,6 +76,7 @@ _MODULES = {
     "best": "studies.api.projects",
     "calibrate": "studies.api.calibrations",
     "check": "studies.api.judgements",
+    "choose": "studies.api.planning",
     "compare": "studies.api.projects",
     "load_case": "studies.api.projects",
     "predict": "studies.api.judgements",

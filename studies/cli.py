@@ -46,6 +46,7 @@ COMMANDS = (
     "tune",
     "calibrate",
     "uncertainty",
+    "choose",
     "predict",
     "report",
     "status",

@@ -36,6 +36,7 @@ from studies.reporting.figures_model import (
 from studies.reporting.figures_tuning import learning_figure, slices_figure
 from studies.reporting.sentences import (
     calibration_sentences,
+    choice_sentences,
     headline,
     mean_sentences,
     uncertainty_sentences,
@@ -48,9 +49,11 @@ from studies.reporting.tables import (
     intervals_table,
     parameters_table,
     sensitivity_table,
+    structures_table,
     tuning_table,
     validation_table,
 )
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, TunedSize, Uncertainty
 from studies.results.trials import TunedStudy
@@ -74,6 +77,7 @@ class ReportData:
         studies: The study of each training-set size, in its order.
         importances: Part of each hyperparameter in what decides the error, by training-set size and name. [1]
         uncertainties: How sure the calibrations are, as far as that was asked.
+        choices: Comparisons of this structure with others.
         commands: What made the results.
     """
 
@@ -87,6 +91,7 @@ class ReportData:
     studies: tuple[TunedStudy, ...] = ()
     importances: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     uncertainties: tuple[Uncertainty, ...] = ()
+    choices: tuple[Choice, ...] = ()
     commands: tuple[str, ...] = ()
 
 
@@ -150,6 +155,11 @@ def sections_of(data: ReportData) -> list[Section]:
     if best is not None:
         sections.append(replace(_calibration(data, best), anchor="calibration", heading="Calibration"))
     sections += [_uncertainty(data, one) for one in data.uncertainties]
+    sections += [
+        Section(f"choice-{n}", "Model structures", (), (structures_table(one, unit),),
+                paragraphs=tuple(choice_sentences(one, unit)))
+        for n, one in enumerate(data.choices)
+    ]  # fmt: skip
     pca_gp = {one.n_train: _errors(one.baseline) for one in data.tuned if one.baseline}
     beside = {"PCA + GP": pca_gp} if pca_gp else {}
     trials = () if data.trials is None else (mae_over_n_figure(data.trials, unit=unit, beside=beside),)

@@ -9,6 +9,7 @@ import numpy as np
 from studies.calibration.search.misfit_threshold import misfit_threshold
 from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
 from studies.calibration.uncertainty.noise import Noise
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
 from studies.results.stage_results import (
     Calibration,
@@ -355,4 +356,33 @@ def mean_sentences(tuned: Sequence[TunedSize]) -> list[str]:
             parts = zip(one.parts, errors, strict=True)
             made_of = " + ".join(f"{part.share:.2f} × {part.name} ({error})" for part, error in parts)
             said.append(f"n_train {one.n_train}: MAE {significant(one.mae)} {one.unit} is that of {made_of}")
+    return said
+
+
+def choice_sentences(found: Choice, unit: str) -> list[str]:
+    """Say which structure the data choose, and what that assumes.
+
+    Args:
+        found: The comparison.
+        unit: Unit of a difference of the first output.
+    """
+    said = [
+        f"Chosen: {found.chosen}; {found.reason}."
+        if found.chosen
+        else f"The data do not tell: {found.reason}."
+    ]
+    if not found.is_explained:
+        said.append(
+            "The residuals of the most probable structure are still autocorrelated: it too may lack "
+            "something, and the comparison takes what it lacks for noise."
+        )
+    said.append(
+        f"{noise_sentence(found.noise, unit)} It is that of {found.noise_of}, for all structures alike."
+    )
+    if by_process := [one.case for one in found.structures if not one.by_equations]:
+        said.append(f"Of {listed(by_process)} a Gaussian process of the simulations stands for the model.")
+    said.append(
+        "Evidence depends on bounds and priors: a parameter that the data hardly need counts the more "
+        "against a structure, the wider its bounds are."
+    )
     return said

@@ -8,6 +8,7 @@ import numpy as np
 from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
 from studies.results.best_mean import shortened_model
+from studies.results.choice import Choice
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
@@ -336,3 +337,49 @@ def intervals_table(space: ParameterSpace, found: Uncertainty) -> Table:
         )
     title = f"{share} intervals of the parameters ({found.calibration})"
     return Table(title, columns, rows)
+
+
+def structures_table(found: Choice, unit: str) -> Table:
+    """Tabulate compared structures, the chosen one pointed out.
+
+    Args:
+        found: The comparison.
+        unit: Unit of the first output's differences.
+    """
+    square = square_of(unit)
+    columns = (
+        Column("structure"),
+        number("parameters"),
+        number("determined", spare=1),
+        number("error", square),
+        number("AIC", spare=2),
+        number("BIC"),
+        number("log evidence"),
+        number("probability"),
+        number("left-out error", square),
+        number("white", spare=2),
+        Column("restricts", spare=3),
+        number("p", spare=3),
+        number("calls", spare=1),
+    )
+    least = [min(getattr(one, key) for one in found.structures) for key in ("aic", "bic")]
+    rows = [
+        [
+            one.case,
+            one.n_parameters,
+            len(one.determined),
+            significant(one.mse, 4),
+            *(f"+{value - low:.1f}" for value, low in zip((one.aic, one.bic), least, strict=True)),
+            f"{one.log_evidence:.1f}",
+            percent(one.probability),
+            significant(one.left_out_mse, 4),
+            significant(one.white, 2),
+            one.larger or MISSING,
+            significant(one.restriction, 2),
+            one.n_calls + one.n_judged,
+        ]
+        for one in found.structures
+    ]
+    names = [one.case for one in found.structures]
+    title = f"Structures on one measurement (AIC, BIC: above the least; left out: {found.blocks})"
+    return Table(title, columns, rows, names.index(found.chosen) if found.chosen else None)

@@ -8,6 +8,7 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome, read_manifest, read_outcome
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.knowledge import is_current
@@ -30,6 +31,14 @@ def stored_uncertainties(task: Task) -> Iterator[Outcome[Uncertainty]]:
         found = read_outcome(task.results, f"uncertainty-{calibration.name}", Uncertainty)
         is_of_it = found is not None and np.array_equal(found.result.point, calibration.result.point)
         if found is not None and is_of_it and is_current(found.inputs, task.case):
+            yield found
+
+
+def stored_choices(task: Task) -> Iterator[Outcome[Choice]]:
+    """Read the comparisons of this structure with others, as long as its measurement is the same."""
+    for file in sorted(task.results.glob("choose-*.json")):
+        found = read_outcome(task.results, file.stem, Choice)
+        if found is not None and is_current(found.inputs["structures"][0], task.case):
             yield found
 
 

@@ -4,14 +4,21 @@ import math
 from collections.abc import Sequence
 
 from studies.calibration.search.misfit_threshold import SENSOR_UNCERTAINTIES
-from studies.reporting.sentences import calibration_sentences, headline, uncertainty_sentences
+from studies.reporting.sentences import (
+    calibration_sentences,
+    choice_sentences,
+    headline,
+    uncertainty_sentences,
+)
 from studies.reporting.tables import (
     best_of,
     calibrations_table,
     intervals_table,
     parameters_table,
+    structures_table,
     validation_table,
 )
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.check_stage import found_of_the_step
@@ -93,6 +100,14 @@ def show_uncertainty(task: Task, found: Uncertainty) -> None:
     if case.note:
         task.console.result(f"Note: {case.note}")
     task.console.result(f"Pictures: studies report {task.command}")
+
+
+def show_choice(task: Task, found: Choice) -> None:
+    """Print what speaks for each structure, and which one the data choose."""
+    unit = difference_unit(task.case.outputs[0].unit)
+    task.console.show([structures_table(found, unit)])
+    for sentence in choice_sentences(found, unit):
+        task.console.result(sentence)
 
 
 def _warn_failed(task: Task, found: Calibration | Uncertainty) -> None:

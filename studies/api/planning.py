@@ -1,0 +1,106 @@
+"""`choose`: which of several model structures the data choose."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from studies.api.result import Result
+from studies.api.verb import HasPath, opened, verb
+from studies.keywords import Noise
+from studies.results.choice import Choice
+from studies.words.console import Console
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class ChoiceResult(Result[Choice]):
+    """Model structures compared on one measurement."""
+
+    @property
+    def chosen(self) -> str:
+        """Name of the case that the data choose; empty where they do not tell."""
+        return self.outcome.result.chosen
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        return self.outcome.result.reason
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """A row per structure: error, criteria, evidence, probability, left-out error, calls."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(one) for one in self.outcome.result.structures]).set_index("case")
+
+
+@verb
+def choose(
+    cases: Sequence[str | Path | HasPath],
+    *,
+    noise: Noise = "correlated",
+    max_calls: int | None = None,
+    max_hours: float | None = None,
+    again: bool = False,
+    profile: str | Path = "quick",
+    window: str | tuple[float, float] | None = None,
+    seed: int | None = None,
+    retry_failed: bool = False,
+    jobs: int | None = None,
+    dask: str | None = None,
+    storage: str | None = None,
+    tracking: str | None = None,
+    console: Console | None = None,
+) -> ChoiceResult:
+    """Compare model structures on one measurement, as `studies choose`.
+
+    Args:
+        cases: Two or more cases that are compared with the same samples: names, files, folders, `Case`
+            objects that were read, or `Problem` objects.
+        noise: Model of the residuals of the best structure, which is used for all.
+        max_calls: Most simulations of the calibration of each; None for 100.
+        max_hours: No simulation begins later; the same call continues. [h]
+        again: Compare again though it is finished; calibrations are not repeated.
+        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the cases' own.
+        seed: Seed of all random numbers; None for the profile's.
+        retry_failed: Simulate failed simulations again.
+        jobs: Processes; None for the number of cores.
+        dask: Address of a Dask scheduler whose workers simulate; None for this machine.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
+        console: Shows progress; None for standard error.
+
+    Returns:
+        What speaks for each structure, and which one the data choose.
+
+    Raises:
+        InputError: A case, a keyword or a file is wrong, or the cases are compared with other samples.
+        StageError: A stage failed.
+    """
+    given = locals()
+    # Those of a calibration are said with its own command.
+    words = {name: value for name, value in given.items() if name not in ("cases", "noise", "again")}
+    tasks = [opened("calibrate", words | {"case": case}) for case in cases]
+    from studies.doctor.begin import say_begin
+    from studies.stages.adaptive_stage import adaptive_stage
+    from studies.stages.choose_stage import check_same_measurement, choose_stage
+
+    check_same_measurement([task.case for task in tasks])
+    calibrations = []
+    for task in tasks:
+        say_begin(task.case, task.console)
+        calibrations.append(
+            adaptive_stage(
+                task,
+                max_calls=max_calls,
+                n_parallel=1,
+                target_mse=None,
+                from_stored=False,
+                state_equations=None,
+                again=False,
+            )
+        )
+    return ChoiceResult(tasks[0], choose_stage(tasks, calibrations, noise=noise, again=again))
