@@ -80,27 +80,12 @@ def choose(
         InputError: A case, a keyword or a file is wrong, or the cases are compared with other samples.
         StageError: A stage failed.
     """
-    given = locals()
-    # Those of a calibration are said with its own command.
-    words = {name: value for name, value in given.items() if name not in ("cases", "noise", "again")}
-    tasks = [opened("calibrate", words | {"case": case}) for case in cases]
-    from studies.doctor.begin import say_begin
-    from studies.stages.adaptive_stage import adaptive_stage
+    given = {name: value for name, value in locals().items() if name not in ("cases", "noise", "again")}
+    from studies.api.calibrations import calibrate
     from studies.stages.choose_stage import check_same_measurement, choose_stage
 
-    check_same_measurement([task.case for task in tasks])
-    calibrations = []
-    for task in tasks:
-        say_begin(task.case, task.console)
-        calibrations.append(
-            adaptive_stage(
-                task,
-                max_calls=max_calls,
-                n_parallel=1,
-                target_mse=None,
-                from_stored=False,
-                state_equations=None,
-                again=False,
-            )
-        )
-    return ChoiceResult(tasks[0], choose_stage(tasks, calibrations, noise=noise, again=again))
+    # Before anything is simulated.
+    check_same_measurement([opened("choose", given | {"case": case}).case for case in cases])
+    found = [calibrate(case, **given) for case in cases]
+    tasks, outcomes = [one.task for one in found], [one.outcome for one in found]
+    return ChoiceResult(tasks[0], choose_stage(tasks, outcomes, noise=noise, again=again))

@@ -10,8 +10,9 @@ experiments or parts of the time that a calibration did not see, whether the res
 structure whose parameters another one has too, the likelihood ratio of the two. All this takes state
 equations, and no simulation; else a Gaussian process and two simulations per parameter.
 
-It recommends a structure whose probability is at least 95 %, unless another one predicts left-out parts
-clearly better. Else it says that the data do not tell. Structures count as equally probable before, and
+It recommends a structure whose probability is at least 75 % and whose BIC is the least, or whose probability
+is at least 95 %, unless another one predicts left-out parts clearly better. Else it says that the data do
+not tell. Structures count as equally probable before, and
 parameters as equally probable within their bounds.
 
 Results: mlruns/results/<label of the first case>/choose-<other cases>.json, a run in MLflow with one below

@@ -35,8 +35,8 @@ from studies.stages.warm_start import WarmStart
 from studies.task import Task
 from studies.words.wording import count, listed, percent
 
-SURE = 0.95
-"""Probability from which the data choose a structure."""
+SURE, SURE_TOGETHER = 0.95, 0.75
+"""Probability from which the data choose a structure, and where it also has the least BIC: as three to one."""
 
 CONTRADICTED = 2.1
 """Standard errors by which another structure predicts blocks better: 90 % of Student's t with 4 freedoms."""
@@ -250,10 +250,11 @@ def decided(structures: Sequence[Structure]) -> tuple[str, str]:
     """
     ranked = sorted(structures, key=lambda one: -one.probability)
     best = ranked[0]
-    if best.probability < SURE:
+    by_bic = min(structures, key=lambda one: one.bic)
+    if best.probability < (SURE_TOGETHER if by_bic is best else SURE):
         alike = [one for one in ranked if one.probability > 1.0 - SURE]
         each = listed(f"{one.case} ({percent(one.probability)})" for one in alike)
-        return "", f"the evidence leaves {each}"
+        return "", f"the evidence leaves {each}, and BIC is least for {by_bic.case}"
     for one in ranked[1:]:
         gains = np.array(best.left_out) - np.array(one.left_out)
         error = float(gains.std(ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
@@ -262,4 +263,5 @@ def decided(structures: Sequence[Structure]) -> tuple[str, str]:
                 f"the evidence is for {best.case} ({percent(best.probability)}), "
                 f"but {one.case} predicts what was left out better"
             )
-    return best.case, f"its probability among these is {percent(best.probability)}"
+    least = "the least" if by_bic is best else f"not the least, which {by_bic.case} has"
+    return best.case, f"its probability among these is {percent(best.probability)}, its BIC is {least}"

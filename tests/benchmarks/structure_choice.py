@@ -1,8 +1,8 @@
 """Which of four structures `studies choose` chooses, where the true one is known.
 
-Run `python tests/benchmarks/structure_choice.py [--truths 16] [--noise 0.1]`. The structures are the office with
-seven resistances and four capacities (R7C4), without the wall (R5C3), without the internal masses too (R4C2),
-and with a core of the ceiling (R8C5). Their Modelica sources are cut from that of the embedded office and
+Run `python tests/benchmarks/structure_choice.py [--truths 16] [--noise 0.1]`. The structures are the office
+with seven resistances and four capacities (R7C4), without the wall (R5C3), without the internal masses too
+(R4C2), and with a core of the ceiling (R8C5). Their Modelica sources are cut from that of the embedded office and
 compiled as it is, which needs gcc and the extra `modelica`. Truths are drawn of one structure after the
 other, evenly in the middle of its box, simulated by its FMU and disturbed by white noise.
 
@@ -33,7 +33,7 @@ from studies import calibrate, choose  # noqa: E402
 from studies.words.console import Console  # noqa: E402
 
 SEPARATED = 6.0
-"""Difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572)."""
+"""Difference of BIC that is strong evidence (Kass and Raftery 1995, doi:10.1080/01621459.1995.10476572)."""
 STRUCTURES = ("r4c2", "r5c3", "r7c4", "r8c5")
 WALL = ("wall", "wallInside", "wallOutside", "ambientWall")
 WITHOUT = {
@@ -72,7 +72,7 @@ def source_of(name: str) -> str:
         )
     if name == "r8c5":
         declared = "".join(
-            f'    parameter Real {one}(unit="{unit}", min={low}, max={high}) = {np.sqrt(low * high):.6g} "core";\n'
+            f'    parameter Real {one}(unit="{unit}", min={low}) = {np.sqrt(low * high):.6g} "core";\n'
             for one, (low, high, unit) in CORE.items()
         )
         model = model.replace("    parameter Real b(", f"{declared}    parameter Real b(", 1)
@@ -105,7 +105,8 @@ def case_of(name: str, noise: float) -> str:
     text = text.replace("uncertainty = 0.5", f"uncertainty = {noise}")
     if name == "r8c5":
         core = "".join(
-            f'[[parameters]]\nname = "{one}"\nlower = {low}\nupper = {high}\nunit = "{unit}"\nscale = "log"\n\n'
+            f'[[parameters]]\nname = "{one}"\nlower = {low}\nupper = {high}\n'
+            f'unit = "{unit}"\nscale = "log"\n\n'
             for one, (low, high, unit) in CORE.items()
         )
         text = text.replace("[fixed]", f"{core}[fixed]")

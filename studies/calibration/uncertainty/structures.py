@@ -26,7 +26,7 @@ from studies.calibration.uncertainty.sample import WIDER
 N_BLOCKS = 5
 """Parts of the time that are left out in turn where there are not as many experiments."""
 
-N_PARTICLES, N_BRIDGED = 600, 20
+N_PARTICLES, N_BRIDGED = 300, 20
 """Particles of an evidence, and iterations of its fixed point, of which five or so are enough."""
 
 MOST_LAGS = 10
