@@ -28,6 +28,7 @@ from studies.reporting.drawing import (
     time_axis,
     with_gaps,
 )
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Prediction, Uncertainty
 from studies.words.wording import (
     axis_label,
@@ -275,6 +276,24 @@ def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
     x = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS)
     panel = Panel("parameters", x, Axis("", is_of_names=True), series, 26 * len(names))
     return Figure("Intervals of the parameters between their bounds", (panel,), caption=caption)
+
+
+def profile_figure(found: Profiles) -> Figure:
+    """Show what -2 log L rises by along the profile of every parameter, and the limit of the intervals.
+
+    Args:
+        found: The profiles.
+    """
+    x, highest = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS), 2.0 * found.limit
+    panels = []
+    for name, at, rises in zip(found.parameters, found.at, found.rises, strict=True):
+        limit = Series("limit of the interval", SCREENED, [0.0, 1.0], [found.limit] * 2)
+        inside = np.minimum(rises[np.isfinite(rises)], highest)
+        line = Series("profile", POLISHED, at[np.isfinite(at)], inside, style={"point": True})
+        y = Axis("rise of −2 log L [1]", {"domain": [0.0, highest]})
+        panels.append(Panel(shortened(name), x, y, [limit, line], 120, has_legend=False))
+    caption = "Others at their best; points above the picture lie at its edge. Blue below orange: within."
+    return Figure("Profile likelihoods", tuple(panels), columns=2, shows_names=True, caption=caption)
 
 
 def _density(box: ParameterSpace, particles: FloatArray, names: list[str]) -> Series:

@@ -11,6 +11,7 @@ from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
 from studies.calibration.uncertainty.noise import Noise
 from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.profiled import Profiles
 from studies.results.stage_results import (
     Calibration,
     Determined,
@@ -385,4 +386,29 @@ def choice_sentences(found: Choice, unit: str) -> list[str]:
         "Evidence depends on bounds and priors: a parameter that the data hardly need counts the more "
         "against a structure, the wider its bounds are."
     )
+    return said
+
+
+def profile_sentences(found: Profiles) -> list[str]:
+    """Say which profiles stay within up to a bound, along which ridge, and how sure that is.
+
+    Args:
+        found: The profiles.
+    """
+    said = []
+    for name, one in found.parameters.items():
+        if any(one.at_bound):
+            where = (
+                "both bounds"
+                if all(one.at_bound)
+                else "the upper bound"
+                if one.at_bound[1]
+                else "the lower bound"
+            )
+            ridge = f", while {listed(one.moves)} move with it" if one.moves else ""
+            said.append(f"{name} fits up to {where}{ridge}.")
+    who = "state equations" if found.by_equations else "a Gaussian process of the simulations"
+    how = "confirm" if found.is_confirmed else "do not confirm"
+    said.append(f"The profiles are of {who}; {count(found.n_calls, 'simulation')} at their ends {how} them.")
+    said.append("They assume that the model is right and the noise is as above, and no normal distribution.")
     return said

@@ -11,6 +11,7 @@ from studies.results.best_mean import shortened_model
 from studies.results.choice import Choice
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
 from studies.words.wording import (
     MISSING,
@@ -383,3 +384,35 @@ def structures_table(found: Choice, unit: str) -> Table:
     names = [one.case for one in found.structures]
     title = f"Structures on one measurement (AIC, BIC: above the least; left out: {found.blocks})"
     return Table(title, columns, rows, names.index(found.chosen) if found.chosen else None)
+
+
+def profiles_table(space: ParameterSpace, found: Profiles, posterior: Uncertainty) -> Table:
+    """Tabulate the intervals of profiles beside those of the posterior.
+
+    Args:
+        space: The parameters.
+        found: The profiles.
+        posterior: The uncertainty that they belong to.
+    """
+    share = percent(found.level)
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        number(f"profile {share} from"),
+        number("to"),
+        number("posterior from", spare=1),
+        number("to", spare=1),
+        number("rise by simulation", spare=2),
+        number("at both ends", spare=2),
+        Column("moves with", spare=1),
+    )
+    rows = []
+    for one, interval in zip(space.parameters, posterior.interval.T.tolist(), strict=True):
+        its = found.parameters[one.name]
+        digits = digits_between(*its.interval, least=4)
+        ends = [significant(value, digits) for value in (*its.interval, *interval)]
+        ends[:2] = [f"{end}{' (bound)' * is_open}" for end, is_open in zip(ends, its.at_bound, strict=False)]
+        rises = (significant(value, 2) for value in its.rise)
+        rows.append([one.name, shown_unit(one.unit), *ends, *rises, ", ".join(its.moves) or MISSING])
+    title = f"Profile likelihoods: {share} where −2 log L rises by {significant(found.limit)}"
+    return Table(title, columns, rows)

@@ -36,7 +36,7 @@ from studies.task import Task
 from studies.words.wording import count, listed, percent
 
 SURE, SURE_TOGETHER = 0.95, 0.75
-"""Probability from which the data choose a structure, and where it also has the least BIC: as three to one."""
+"""Probability from which the data choose a structure, and where it also has the least BIC: three to one."""
 
 CONTRADICTED = 2.1
 """Standard errors by which another structure predicts blocks better: 90 % of Student's t with 4 freedoms."""

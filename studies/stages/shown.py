@@ -8,6 +8,7 @@ from studies.reporting.sentences import (
     calibration_sentences,
     choice_sentences,
     headline,
+    profile_sentences,
     uncertainty_sentences,
 )
 from studies.reporting.tables import (
@@ -15,11 +16,13 @@ from studies.reporting.tables import (
     calibrations_table,
     intervals_table,
     parameters_table,
+    profiles_table,
     structures_table,
     validation_table,
 )
 from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.check_stage import found_of_the_step
 from studies.task import Task
@@ -100,6 +103,13 @@ def show_uncertainty(task: Task, found: Uncertainty) -> None:
     if case.note:
         task.console.result(f"Note: {case.note}")
     task.console.result(f"Pictures: studies report {task.command}")
+
+
+def show_profiles(task: Task, found: Profiles, posterior: Uncertainty) -> None:
+    """Print the intervals of profiles beside the posterior's, and where they are open."""
+    task.console.show([profiles_table(task.case.parameter_space, found, posterior)])
+    for sentence in profile_sentences(found):
+        task.console.result(sentence)
 
 
 def show_choice(task: Task, found: Choice) -> None:

@@ -16,9 +16,11 @@ from studies.reporting.figures_calibration import (
     calibration_figure,
     calls_figure,
     interval_figure,
+    profile_figure,
 )
 from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.profiled import Profiles
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, Prediction, Reported, Uncertainty
 from studies.task import Task
@@ -126,6 +128,14 @@ def log_prediction(task: Task, outcome: Outcome[Prediction]) -> None:
         images=[one for one in [table.with_suffix(".png")] if one.is_file()],
         artifacts=[table],
     )
+
+
+def log_profiles(task: Task, outcome: Outcome[Profiles]) -> None:
+    """Log profile likelihoods, with their picture."""
+    found = outcome.result
+    pictures = {"profiles": profile_figure(found)}
+    metrics = {"calls/all": found.n_calls}
+    _log(task, outcome, "profiles", params={"level": found.level}, metrics=metrics, pictures=pictures)
 
 
 def log_choice(task: Task, outcome: Outcome[Choice]) -> None:

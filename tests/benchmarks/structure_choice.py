@@ -2,8 +2,8 @@
 
 Run `python tests/benchmarks/structure_choice.py [--truths 16] [--noise 0.1]`. The structures are the office
 with seven resistances and four capacities (R7C4), without the wall (R5C3), without the internal masses too
-(R4C2), and with a core of the ceiling (R8C5). Their Modelica sources are cut from that of the embedded office and
-compiled as it is, which needs gcc and the extra `modelica`. Truths are drawn of one structure after the
+(R4C2), and with a core of the ceiling (R8C5). Their Modelica sources are cut from that of the embedded office
+and compiled as it is, which needs gcc and the extra `modelica`. Truths are drawn of one structure after the
 other, evenly in the middle of its box, simulated by its FMU and disturbed by white noise.
 
 Beforehand each truth is simulated without noise and calibrated with every structure: with the squares L that
