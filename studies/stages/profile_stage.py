@@ -83,7 +83,7 @@ def _followed(
             n_rounds += 1
             residuals = emulated_residuals(problem, rows, emulator)
             every = profiles(residuals, prior, best, 0.5 * (ends[1] - ends[0]), noise.unit)
-            points = np.round(np.vstack([every.best[None], *every.points]), DECIMALS)
+            points = np.asarray(np.vstack([every.best[None], *every.points]).round(DECIMALS), np.float64)
             answer = problem.evaluate(points)
             n_calls += len(points)
             rows = joined([rows, answer])

@@ -28,8 +28,12 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT)]
 
-from simulation import load_case  # noqa: E402
-from studies import calibrate, choose  # noqa: E402
+from simulation import Case, Measurement, load_case  # noqa: E402
+from studies import choose  # noqa: E402
+from studies.calibration.problem import CalibrationProblem  # noqa: E402
+from studies.calibration.search.adaptive import Adaptive  # noqa: E402
+from studies.calibration.state_equations.experiments_ode import learned_ode, watched_model  # noqa: E402
+from studies.calibration.state_equations.states import watching_states  # noqa: E402
 from studies.words.console import Console  # noqa: E402
 
 SEPARATED = 6.0
@@ -143,6 +147,19 @@ def write_recording(folder: Path, y: np.ndarray) -> None:
     (folder / "data" / "recording_1800s.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def squares_left(case: Case, y: np.ndarray, noise: float) -> float:
+    """Return the least sum of squares, in noise, that a structure leaves of outputs without noise."""
+    with watching_states(case).open_model() as opened:
+        model = watched_model(case, opened)
+        measurement = Measurement.on_grid(
+            case.measurement.time, y[:, None], case.measurement.output_names, np.array([noise])
+        )
+        problem = CalibrationProblem(model, measurement)
+        ode = learned_ode(case, model, problem)
+        found = Adaptive.for_sensor(noise, max_calls=60).minimize(problem, seed=0, learned_ode=ode)
+    return found.mse * len(y) / noise**2
+
+
 def one(folder: Path, seed: int, noise: float) -> dict[str, Any]:
     """Draw a truth, say whether the noise separates the structures, and let them be compared."""
     rng = np.random.default_rng([62, seed])
@@ -155,16 +172,13 @@ def one(folder: Path, seed: int, noise: float) -> dict[str, Any]:
         y = model.simulate(theta).y[0, :, 0]
     quiet, said = Console(quiet=True), io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        write_recording(folder, y)
-        pure = {j: calibrate(str(folder / "fmus" / j), console=quiet, again=True) for j in STRUCTURES}
         write_recording(folder, y + noise * rng.standard_normal(y.shape))
         found = choose([str(folder / "fmus" / j) for j in STRUCTURES], console=quiet)
-    m, k = len(y), space.n_parameters
-    expected = {
-        j: one.mse * m / noise**2 + (len(one.theta) - k) * (np.log(m) - 1.0)
-        for j, one in pure.items()
-        if j != name
-    }
+    m, k, expected = len(y), space.n_parameters, {}
+    for j in (j for j in STRUCTURES if j != name):
+        other = load_case(folder / "fmus" / j)
+        more = other.parameter_space.n_parameters - k
+        expected[j] = squares_left(other, y, noise) + more * (np.log(m) - 1.0)
     table = found.table
     columns = ["log_evidence", "log_evidence_error", "probability", "bic", "aic", "left_out_mse", "white"]
     return {
