@@ -47,6 +47,7 @@ COMMANDS = (
     "calibrate",
     "uncertainty",
     "choose",
+    "next",
     "predict",
     "report",
     "status",

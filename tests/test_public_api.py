@@ -11,8 +11,8 @@ from studies.cli import build_parser
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
-    "best", "calibrate", "check", "choose", "compare", "predict", "report", "reproduce", "run", "sensitivity",
-    "simulate", "status", "tune", "uncertainty",
+    "best", "calibrate", "check", "choose", "compare", "next_experiment", "predict", "report",
+    "reproduce", "run", "sensitivity", "simulate", "status", "tune", "uncertainty",
 }  # fmt: skip
 PUBLIC = {
     "simulation": {
@@ -25,9 +25,9 @@ PUBLIC = {
     },
     "studies": COMMANDS | {
         "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ChoiceResult",
-        "ComparisonResult", "Console", "InputError", "LeastSquaresTRF", "Measurement", "PredictionResult",
-        "Problem", "ProjectResult", "ReportResult", "ReproductionResult", "RunResult", "SensitivityResult",
-        "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
+        "ComparisonResult", "Console", "InputError", "LeastSquaresTRF", "Measurement", "NextResult",
+        "PredictionResult", "Problem", "ProjectResult", "ReportResult", "ReproductionResult", "RunResult",
+        "SensitivityResult", "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
     },
 }  # fmt: skip
 
@@ -51,7 +51,7 @@ def test_a_function_has_the_keywords_of_its_command(name: str) -> None:
     parameters = inspect.signature(getattr(studies, name)).parameters
     assert not any(one.kind is one.VAR_KEYWORD for one in parameters.values())
     words = {"reproduce": ["x"], "compare": ["x", "y"], "choose": ["x", "y"]}.get(name, [])
-    options = vars(build_parser().parse_args([name, *words]))
+    options = vars(build_parser().parse_args([name.partition("_")[0], *words]))
     # How a result is printed or written to a file is the command line's; in Python the result does that.
     of_the_terminal = {"command", "json", "quiet", "dry_run"}
     if name == "best":

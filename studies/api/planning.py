@@ -1,4 +1,4 @@
-"""`choose`: which of several model structures the data choose."""
+"""`choose` and `next_experiment`: which model structure the data choose, and what to measure next."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 from studies.api.result import Result
 from studies.api.verb import HasPath, opened, verb
-from studies.keywords import Noise
+from studies.keywords import Criterion, Method, Noise, Surrogate
+from studies.opening import sizes
 from studies.results.choice import Choice
+from studies.results.planned import Planned
 from studies.words.console import Console
 
 if TYPE_CHECKING:
@@ -89,3 +91,86 @@ def choose(
     found = [calibrate(case, **given) for case in cases]
     tasks, outcomes = [one.task for one in found], [one.outcome for one in found]
     return ChoiceResult(tasks[0], choose_stage(tasks, outcomes, noise=noise, again=again))
+
+
+class NextResult(Result[Planned]):
+    """Candidates for the next experiment, ranked."""
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """A row per candidate, the best first: days, what intervals shrink to, what it would determine."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(one) for one in self.outcome.result.candidates]).set_index("name")
+
+    @cached_property
+    def half_widths(self) -> "pd.DataFrame":
+        """Half of the 90 % intervals, a row per parameter, a column for now and each candidate. [1]."""
+        import pandas as pd
+
+        found = self.outcome.result
+        columns = {one.name: one.half_widths for one in found.candidates}
+        return pd.DataFrame({"now": found.half_widths, **columns}).rename_axis("parameter")
+
+
+@verb
+def next_experiment(
+    case: str | Path | HasPath = "office",
+    *,
+    inputs: Sequence[str | Path] | None = None,
+    vary: Sequence[str] | None = None,
+    output: Sequence[str] | None = None,
+    criterion: Criterion = "half-widths",
+    method: Method | None = None,
+    n_train: int | None = None,
+    again: bool = False,
+    profile: str | Path = "quick",
+    window: str | tuple[float, float] | None = None,
+    seed: int | None = None,
+    simulations: int | None = None,
+    surrogate: Surrogate | None = None,
+    retry_failed: bool = False,
+    jobs: int | None = None,
+    dask: str | None = None,
+    storage: str | None = None,
+    tracking: str | None = None,
+    console: Console | None = None,
+) -> NextResult:
+    """Rank measurements by what they would tell about the parameters, as `studies next`.
+
+    Args:
+        case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
+        inputs: CSV files of inputs, or folders of such files: an experiment each.
+        vary: Inputs that may be set, as "q1=0:1500" in the unit of the case file.
+        output: Outputs that may be measured too, as "TWall=0.1" with the uncertainty in the FMU's unit.
+        criterion: "half-widths" of the intervals, "A" or "D" for A- and D-optimal experiments.
+        method: Method of the calibration; None for adaptive if there is one.
+        n_train: The calibration with this training-set size; None for the best.
+        again: Repeat it if it is finished.
+        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
+        seed: Seed of all random numbers; None for the profile's.
+        simulations: Most simulations of a whole run; None for the profile's.
+        surrogate: Form of the surrogate; None for the profile's.
+        retry_failed: Simulate failed simulations again.
+        jobs: Processes; None for the number of cores.
+        dask: Address of a Dask scheduler whose workers simulate; None for this machine.
+        storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
+        tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
+        console: Shows progress; None for standard error.
+
+    Returns:
+        The candidates, the best first.
+
+    Raises:
+        InputError: The case, a keyword or a file is wrong.
+        StageError: A stage failed.
+    """
+    task = opened("next_experiment", locals())
+    from studies.stages.candidates import offers
+    from studies.stages.next_stage import next_stage
+    from studies.stages.uncertainty_stage import calibration_to_judge
+
+    calibration = calibration_to_judge(task, method, sizes(n_train))
+    present, offered = offers(task, [Path(one) for one in inputs or ()], vary or (), output or ())
+    return NextResult(task, next_stage(task, calibration, present, offered, criterion=criterion, again=again))

@@ -12,11 +12,13 @@ from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from studies.reporting.drawing import (
     BETWEEN_BOUNDS,
+    HOLLOW,
     INK,
     LOG,
     MEASURED,
     POLISHED,
     SCREENED,
+    SERIES,
     SIMULATED,
     TRAINING,
     Axis,
@@ -28,6 +30,7 @@ from studies.reporting.drawing import (
     time_axis,
     with_gaps,
 )
+from studies.results.planned import Planned
 from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Prediction, Uncertainty
 from studies.words.wording import (
@@ -276,6 +279,23 @@ def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
     x = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS)
     panel = Panel("parameters", x, Axis("", is_of_names=True), series, 26 * len(names))
     return Figure("Intervals of the parameters between their bounds", (panel,), caption=caption)
+
+
+def planned_figure(found: Planned) -> Figure:
+    """Show half widths of every parameter now and after each of the best candidates.
+
+    Args:
+        found: The candidates.
+    """
+    names, dot = list(found.half_widths), {"filled": True, "size": 40, "opacity": 1}
+    series = [Series("now", INK, list(found.half_widths.values()), names, "point", dot)]
+    for color, one in zip(SERIES, (one for one in found.candidates if not one.excluded), strict=False):
+        widths = [one.half_widths[name] for name in names]
+        series.append(Series(shortened(one.name), color, widths, names, "point", HOLLOW))
+    x = Axis("half of the 90 % interval, as a share of the range [1]", {"type": "log"})
+    panel = Panel("half widths", x, Axis("", is_of_names=True), series, 22 * len(names))
+    caption = "Expected by the linearised model; to the left is better."
+    return Figure("What the next experiment would tell", (panel,), caption=caption)
 
 
 def profile_figure(found: Profiles) -> Figure:

@@ -11,6 +11,7 @@ from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
 from studies.calibration.uncertainty.noise import Noise
 from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
 from studies.results.profiled import Profiles
 from studies.results.stage_results import (
     Calibration,
@@ -411,4 +412,30 @@ def profile_sentences(found: Profiles) -> list[str]:
     how = "confirm" if found.is_confirmed else "do not confirm"
     said.append(f"The profiles are of {who}; {count(found.n_calls, 'simulation')} at their ends {how} them.")
     said.append("They assume that the model is right and the noise is as above, and no normal distribution.")
+    return said
+
+
+def planned_sentences(found: Planned) -> list[str]:
+    """Say which experiment would tell most, and what that assumes.
+
+    Args:
+        found: The candidates.
+    """
+    best = found.candidates[0]
+    if best.excluded:
+        return ["No candidate may be made."]
+    shrunk = percent(best.shrinks_to)
+    said = [f"Best: {best.name}, {best.what}; intervals are expected to shrink to {shrunk} on average."]
+    if best.own:
+        said.append(f"It has values of its own of {listed(best.own)}, which are taken for unknown.")
+    over = count(found.n_points, "equally good parameter set")
+    where = "at the calibrated point" if found.n_points == 1 else f"over {over}"
+    said.append(
+        f"Expected {where}, by {count(found.n_calls, 'simulation')}, if the model is right, noise stays as "
+        "it is, and residuals are linear within the intervals."
+    )
+    if found.error is not None:
+        said.append(
+            f"Its equations and a simulation differ by {significant(found.error, 2)} uncertainties at most."
+        )
     return said

@@ -11,6 +11,7 @@ from studies.results.best_mean import shortened_model
 from studies.results.choice import Choice
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
 from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
 from studies.words.wording import (
@@ -416,3 +417,30 @@ def profiles_table(space: ParameterSpace, found: Profiles, posterior: Uncertaint
         rows.append([one.name, shown_unit(one.unit), *ends, *rises, ", ".join(its.moves) or MISSING])
     title = f"Profile likelihoods: {share} where −2 log L rises by {significant(found.limit)}"
     return Table(title, columns, rows)
+
+
+def planned_table(found: Planned) -> Table:
+    """Tabulate candidates for the next experiment, the best first."""
+    columns = (
+        Column("candidate"),
+        Column("what", spare=1),
+        number("days"),
+        number("intervals shrink to"),
+        number(found.criterion, spare=2),
+        Column("would determine"),
+        number("calls", spare=2),
+    )
+    rows = [
+        [
+            one.name,
+            one.what,
+            significant(one.days),
+            percent(one.shrinks_to),
+            significant(one.merit, 4),
+            one.excluded or ", ".join(one.determines) or MISSING,
+            one.n_calls,
+        ]
+        for one in found.candidates
+    ]
+    title = "What the next experiment would tell, the best first"
+    return Table(title, columns, rows, None if found.candidates[0].excluded else 0)

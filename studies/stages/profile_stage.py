@@ -4,7 +4,6 @@ from dataclasses import asdict
 
 import numpy as np
 
-from simulation.arrays import FloatArray
 from studies.calibration.descent import objectives
 from studies.calibration.uncertainty.emulated import emulated_residuals, weighed
 from studies.calibration.uncertainty.findings import LEVEL

@@ -8,6 +8,7 @@ from studies.reporting.sentences import (
     calibration_sentences,
     choice_sentences,
     headline,
+    planned_sentences,
     profile_sentences,
     uncertainty_sentences,
 )
@@ -16,12 +17,14 @@ from studies.reporting.tables import (
     calibrations_table,
     intervals_table,
     parameters_table,
+    planned_table,
     profiles_table,
     structures_table,
     validation_table,
 )
 from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
 from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.check_stage import found_of_the_step
@@ -110,6 +113,16 @@ def show_profiles(task: Task, found: Profiles, posterior: Uncertainty) -> None:
     task.console.show([profiles_table(task.case.parameter_space, found, posterior)])
     for sentence in profile_sentences(found):
         task.console.result(sentence)
+
+
+def show_planned(task: Task, found: Planned) -> None:
+    """Print candidates for the next experiment, and where the tables of the best one lie."""
+    task.console.show([planned_table(found)])
+    for sentence in planned_sentences(found):
+        task.console.result(sentence)
+    for what, place in (("For the case file", found.block), ("Its inputs", found.inputs)):
+        if place:
+            task.console.result(f"{what}: {task.paths.show(task.paths.root / place)}")
 
 
 def show_choice(task: Task, found: Choice) -> None:

@@ -16,10 +16,12 @@ from studies.reporting.figures_calibration import (
     calibration_figure,
     calls_figure,
     interval_figure,
+    planned_figure,
     profile_figure,
 )
 from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
 from studies.results.profiled import Profiles
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, Prediction, Reported, Uncertainty
@@ -136,6 +138,22 @@ def log_profiles(task: Task, outcome: Outcome[Profiles]) -> None:
     pictures = {"profiles": profile_figure(found)}
     metrics = {"calls/all": found.n_calls}
     _log(task, outcome, "profiles", params={"level": found.level}, metrics=metrics, pictures=pictures)
+
+
+def log_planned(task: Task, outcome: Outcome[Planned]) -> None:
+    """Log candidates for the next experiment, with their picture and the tables of the best one."""
+    found, root = outcome.result, task.paths.root
+    best = found.candidates[0]
+    _log(
+        task,
+        outcome,
+        "next",
+        params={"criterion": found.criterion, "points": found.n_points},
+        metrics={"calls/all": found.n_calls, "shrinks_to": best.shrinks_to},
+        tags={"calibration": found.calibration, "best": "" if best.excluded else best.name},
+        artifacts=[root / place for place in (found.block, found.inputs) if place],
+        pictures={"candidates": planned_figure(found)},
+    )
 
 
 def log_choice(task: Task, outcome: Outcome[Choice]) -> None:

@@ -27,7 +27,7 @@ N_BLOCKS = 5
 """Parts of the time that are left out in turn where there are not as many experiments."""
 
 N_PARTICLES, N_BRIDGED = 150, 20
-"""Particles of an evidence, of which 600 gave the same spread of 0.3 to 0.5 from seed to seed, and iterations of its fixed point, of which five or so are enough."""
+"""Particles of an evidence (600 spread by the same 0.3 to 0.5 from seed to seed), and iterations."""
 
 MOST_LAGS = 10
 """Lags of the test of white residuals, at most a fifth of the samples (Ljung and Box 1978)."""
