@@ -1,7 +1,8 @@
 """What we ask of both: studies, tracking, calibration, reports, the command line, and its words in Python.
 
 The functions do what the commands of their names do: `run`, `tune`, `calibrate`, `check`, `simulate`,
-`sensitivity`, `uncertainty`, `predict`, `report`, `best`, `compare`, `status`, `reproduce`.
+`sensitivity`, `uncertainty`, `choose`, `predict`, `report`, `best`, `compare`, `status`, `reproduce`.
+`next_experiment` does what `studies next` does.
 `load_case` reads a `Case` by its name, and a `Problem` is a case made of objects. What is wrong with a case,
 a keyword or a file is an `InputError` of one line; a stage that fails is a `StageError`.
 """
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
     from studies.api.judgements import predict as predict
     from studies.api.judgements import report as report
     from studies.api.judgements import uncertainty as uncertainty
+    from studies.api.planning import ChoiceResult as ChoiceResult
+    from studies.api.planning import NextResult as NextResult
+    from studies.api.planning import choose as choose
+    from studies.api.planning import next_experiment as next_experiment
     from studies.api.problem import Problem as Problem
     from studies.api.projects import BestResult as BestResult
     from studies.api.projects import ComparisonResult as ComparisonResult
@@ -54,10 +59,12 @@ _MODULES = {
     "Case": "simulation.case",
     "CheckResult": "studies.api.judgements",
     "ComparisonResult": "studies.api.projects",
+    "ChoiceResult": "studies.api.planning",
     "Console": "studies.words.console",
     "InputError": "simulation.errors",
     "LeastSquaresTRF": "studies.calibration.polish",
     "Measurement": "simulation.measurement",
+    "NextResult": "studies.api.planning",
     "PredictionResult": "studies.api.judgements",
     "Problem": "studies.api.problem",
     "ProjectResult": "studies.api.projects",
@@ -73,8 +80,10 @@ _MODULES = {
     "best": "studies.api.projects",
     "calibrate": "studies.api.calibrations",
     "check": "studies.api.judgements",
+    "choose": "studies.api.planning",
     "compare": "studies.api.projects",
     "load_case": "studies.api.projects",
+    "next_experiment": "studies.api.planning",
     "predict": "studies.api.judgements",
     "report": "studies.api.judgements",
     "reproduce": "studies.api.projects",

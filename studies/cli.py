@@ -46,6 +46,8 @@ COMMANDS = (
     "tune",
     "calibrate",
     "uncertainty",
+    "choose",
+    "next",
     "predict",
     "report",
     "status",

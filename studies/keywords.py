@@ -13,6 +13,7 @@ from simulation.errors import InputError
 Method = Literal["adaptive", "paper"]
 Surrogate = Literal["state-space", "refined", "paper", "pca-gp"]
 Noise = Literal["correlated", "white", "sensor"]
+Criterion = Literal["half-widths", "A", "D"]
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "surrogate": get_args(Surrogate),
     "method": get_args(Method),
     "noise": get_args(Noise),
+    "criterion": get_args(Criterion),
 }
 """The words that others may be."""
 OF_THE_MOMENT = ("again", "console", "case")
@@ -169,7 +171,8 @@ def typed(verb: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> s
         given: Its keywords.
         defaults: What is not written, by keyword.
     """
-    words = ["studies", verb, str(given["case"])]
+    # The function for `studies next` has another name, as next() is Python's own.
+    words = ["studies", verb.partition("_")[0], str(given["case"])]
     for name, value in given.items():
         option = f"--{name.replace('_', '-')}"
         is_plain = isinstance(value, (str, int, float))

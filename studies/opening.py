@@ -99,7 +99,7 @@ def _changed(profile: "Profile", verb: str, keywords: Mapping[str, Any]) -> "Pro
     given = {name: value for name, value in keywords.items() if value is not None}
     data, tuning, polish = profile.data, profile.tuning, profile.polish
     sensitivity = replace(profile.sensitivity, model="fmu") if given.get("fmu") else profile.sensitivity
-    if "n_train" in given and verb not in ("calibrate", "uncertainty", "predict"):
+    if "n_train" in given and verb not in ("calibrate", "uncertainty", "predict", "next_experiment"):
         data = replace(data, n_train=tuple(sorted(set(sizes(given["n_train"])))))
     if given.get("surrogate", tuning.surrogate) != tuning.surrogate:
         # The search space of one form says nothing about another.

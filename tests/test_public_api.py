@@ -11,8 +11,8 @@ from studies.cli import build_parser
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {
-    "best", "calibrate", "check", "compare", "predict", "report", "reproduce", "run", "sensitivity",
-    "simulate", "status", "tune", "uncertainty",
+    "best", "calibrate", "check", "choose", "compare", "next_experiment", "predict", "report",
+    "reproduce", "run", "sensitivity", "simulate", "status", "tune", "uncertainty",
 }  # fmt: skip
 PUBLIC = {
     "simulation": {
@@ -24,10 +24,10 @@ PUBLIC = {
         "save_surrogate",
     },
     "studies": COMMANDS | {
-        "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ComparisonResult",
-        "Console", "InputError", "LeastSquaresTRF", "Measurement", "PredictionResult", "Problem",
-        "ProjectResult", "ReportResult", "ReproductionResult", "RunResult", "SensitivityResult",
-        "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
+        "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ChoiceResult",
+        "ComparisonResult", "Console", "InputError", "LeastSquaresTRF", "Measurement", "NextResult",
+        "PredictionResult", "Problem", "ProjectResult", "ReportResult", "ReproductionResult", "RunResult",
+        "SensitivityResult", "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
     },
 }  # fmt: skip
 
@@ -50,8 +50,8 @@ def test_public_names_are_pinned_and_in_the_reference(room: str) -> None:
 def test_a_function_has_the_keywords_of_its_command(name: str) -> None:
     parameters = inspect.signature(getattr(studies, name)).parameters
     assert not any(one.kind is one.VAR_KEYWORD for one in parameters.values())
-    words = {"reproduce": ["x"], "compare": ["x", "y"]}.get(name, [])
-    options = vars(build_parser().parse_args([name, *words]))
+    words = {"reproduce": ["x"], "compare": ["x", "y"], "choose": ["x", "y"]}.get(name, [])
+    options = vars(build_parser().parse_args([name.partition("_")[0], *words]))
     # How a result is printed or written to a file is the command line's; in Python the result does that.
     of_the_terminal = {"command", "json", "quiet", "dry_run"}
     if name == "best":

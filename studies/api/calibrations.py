@@ -142,18 +142,26 @@ class CalibrationResult:
         return panels
 
     def uncertainty(
-        self, *, noise: Noise = "correlated", max_calls: int | None = None, again: bool = False
+        self,
+        *,
+        noise: Noise = "correlated",
+        max_calls: int | None = None,
+        profiles: bool = False,
+        again: bool = False,
     ) -> "UncertaintyResult":
         """Say how sure it is, as `studies.uncertainty`.
 
         Args:
             noise: Model of the residuals.
             max_calls: Most simulations; None for 20 per parameter, at least 100.
+            profiles: Follow the profile likelihoods too.
             again: Repeat it if it is finished.
         """
         from studies.api.judgements import uncertainty_of
 
-        return uncertainty_of(self.task, self.outcome, noise=noise, max_calls=max_calls, again=again)
+        return uncertainty_of(
+            self.task, self.outcome, noise=noise, max_calls=max_calls, profiles=profiles, again=again
+        )
 
     def predict(
         self, inputs: "str | Path | pd.DataFrame | None" = None, *, experiment: str | None = None

@@ -1,5 +1,6 @@
 """`check`, `uncertainty`, `predict` and `report`: what is to be thought of a case and of its calibration."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from studies.doctor.finding import Diagnosis
 from studies.keywords import Method, Noise, Surrogate
 from studies.opening import sizes
 from studies.results.outcome import Outcome
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Prediction, Reported, Uncertainty
 from studies.task import StageError
 from studies.words.console import Console
@@ -52,8 +54,24 @@ class UnsoundError(StageError):
         self.checked = checked
 
 
+@dataclass(frozen=True, eq=False)
 class UncertaintyResult(Result[Uncertainty]):
-    """How sure a calibration is."""
+    """How sure a calibration is.
+
+    Attributes:
+        profiled: Its profile likelihoods, None where they were not asked for.
+    """
+
+    profiled: Outcome[Profiles] | None = None
+
+    @cached_property
+    def profiles(self) -> "pd.DataFrame":
+        """A row per parameter: interval of the profile, bounds reached, rise by simulation, what moves."""
+        import pandas as pd
+
+        found = {} if self.profiled is None else self.profiled.result.parameters
+        rows = {name: vars(one) for name, one in found.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
     @cached_property
     def parameters(self) -> "pd.DataFrame":
@@ -151,6 +169,7 @@ def uncertainty(
     n_train: int | None = None,
     noise: Noise = "correlated",
     max_calls: int | None = None,
+    profiles: bool = False,
     max_hours: float | None = None,
     again: bool = False,
     profile: str | Path = "quick",
@@ -173,6 +192,7 @@ def uncertainty(
         n_train: The calibration with this training-set size; None for the best.
         noise: Model of the residuals.
         max_calls: Most simulations; None for 20 per parameter, at least 100.
+        profiles: Follow the profile likelihoods too, for 2 more simulations per parameter, and one.
         max_hours: No simulation begins later; the same call continues. [h]
         again: Repeat it if it is finished.
         profile: Budget: "quick", "thorough", "paper", or a profile file.
@@ -198,7 +218,7 @@ def uncertainty(
     from studies.stages.uncertainty_stage import calibration_to_judge
 
     calibration = calibration_to_judge(task, method, sizes(n_train))
-    return uncertainty_of(task, calibration, noise=noise, max_calls=max_calls, again=again)
+    return uncertainty_of(task, calibration, noise=noise, max_calls=max_calls, profiles=profiles, again=again)
 
 
 def uncertainty_of(
@@ -207,6 +227,7 @@ def uncertainty_of(
     *,
     noise: Noise,
     max_calls: int | None,
+    profiles: bool,
     again: bool,
 ) -> UncertaintyResult:
     """Say how sure a calibration is.
@@ -216,13 +237,18 @@ def uncertainty_of(
         calibration: A calibration of it.
         noise: Model of the residuals.
         max_calls: Most simulations; None for the usual number.
+        profiles: Follow the profile likelihoods too.
         again: Repeat it if it is finished.
     """
     from studies.stages.uncertainty_stage import uncertainty_stage, usual_calls
 
     n = max_calls or usual_calls(task.case.parameter_space.n_parameters)
     found = uncertainty_stage(task, calibration, noise=noise, max_calls=n, again=again)
-    return UncertaintyResult(task, found)
+    if not profiles:
+        return UncertaintyResult(task, found)
+    from studies.stages.profile_stage import profile_stage
+
+    return UncertaintyResult(task, found, profile_stage(task, calibration, found, again=again))
 
 
 @verb

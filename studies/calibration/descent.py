@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.prior import Prior
 
 # Damped steps from all starts together. By hand.
@@ -58,7 +58,7 @@ def jacobians(residuals: Residuals, u: FloatArray, here: FloatArray) -> FloatArr
 
 
 def descend_together(
-    residuals: Residuals, prior: Prior | None, starts: FloatArray
+    residuals: Residuals, prior: Prior | None, starts: FloatArray, is_held: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Walk downhill from several points of the unit cube at once, by damped Gauss-Newton steps.
 
@@ -68,12 +68,14 @@ def descend_together(
         residuals: The function.
         prior: Of the parameters, None where nothing is known.
         starts: Shape (k, p). [1]
+        is_held: Which coordinates stay as they are in which walk, None for none. Shape (k, p).
 
     Returns:
         Where the walks end, shape (k, p), and the objectives there, shape (k,). [unit squared]
     """
     u = np.clip(starts, 0.0, 1.0)
     k, p = u.shape
+    is_free = np.ones((k, p), dtype=np.bool_) if is_held is None else ~is_held
     here = residuals(u)
     values = objectives(prior, u, here)
     damping = np.full(k, DAMPING_AT_FIRST)
@@ -96,7 +98,7 @@ def descend_together(
                 break
         trial = u[walks].copy()
         for row, one in enumerate(walks):
-            trial[row] = _step(u[one], here[one], jacobian[one], damping[one], prior)
+            trial[row] = _step(u[one], here[one], jacobian[one], damping[one], prior, is_free[one])
         answers = residuals(trial)
         found = objectives(prior, trial, answers)
         is_lower = found < values[walks]
@@ -162,7 +164,12 @@ class Descents:
 # A step that overflows leads nowhere.
 @np.errstate(all="ignore")
 def _step(
-    u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
+    u: FloatArray,
+    residuals: FloatArray,
+    jacobian: FloatArray,
+    damping: float,
+    prior: Prior | None,
+    is_free: BoolArray,
 ) -> FloatArray:
     """Return where a damped Gauss-Newton step leads; what it pushes out of the box stays at its face."""
     gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
@@ -171,7 +178,7 @@ def _step(
         known = prior.expand(u)
         gradient, hessian = gradient + known.gradient, hessian + known.hessian
     # What the slope pushes against a face stays there (projected Newton method, see box_newton.py).
-    free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
+    free = np.flatnonzero(is_free & ~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
     trial = u.copy()
     if free.size and np.isfinite(hessian).all():
         block = hessian[np.ix_(free, free)]

@@ -10,6 +10,11 @@ them, the command begins again with the FMU alone. Each simulation is stored at 
 the same command goes on. Results: mlruns/results/<label>/uncertainty-<calibration>.json and .npz, a run in
 MLflow, a page by studies report.
 
+--profiles adds the profile likelihood of each parameter: the least error that each of its values leaves,
+with the others at their best. It is followed by the state equations, else by a Gaussian process of the
+simulations, and the FMU is simulated at the ends of the intervals. A ridge shows as a profile that stays
+within up to a bound. Results: profiles-<calibration>.json and .npz.
+
 --noise is the model of the residuals:
   correlated  their size is estimated, and they are autocorrelated: many samples count as few (default)
   white       their size is estimated, and they are independent
@@ -36,6 +41,11 @@ OPTIONS = (
         help="model of the residuals; default: correlated",
     ),
     *options.calls("most FMU calls; default: 20 per parameter, at least 100"),
+    options.Option(
+        "--profiles",
+        action="store_true",
+        help="follow the profile likelihood of each parameter too: 2 more FMU calls for each, and one",
+    ),
     options.MAX_HOURS,
     options.DRY_RUN,
 )
@@ -46,8 +56,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     if chosen.dry_run:
         return foretold(chosen, console)
     from studies.api.judgements import uncertainty
-    from studies.stages.shown import show_uncertainty
+    from studies.stages.shown import show_profiles, show_uncertainty
 
     result = uncertainty(**keywords_of(chosen, console))
     show_uncertainty(result.task, result.outcome.result)
-    return document(result.task, "uncertainty", [result.outcome])
+    if result.profiled is None:
+        return document(result.task, "uncertainty", [result.outcome])
+    show_profiles(result.task, result.profiled.result, result.outcome.result)
+    return document(result.task, "uncertainty", [result.outcome, result.profiled])

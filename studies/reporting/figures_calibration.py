@@ -12,11 +12,13 @@ from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from studies.reporting.drawing import (
     BETWEEN_BOUNDS,
+    HOLLOW,
     INK,
     LOG,
     MEASURED,
     POLISHED,
     SCREENED,
+    SERIES,
     SIMULATED,
     TRAINING,
     Axis,
@@ -28,6 +30,8 @@ from studies.reporting.drawing import (
     time_axis,
     with_gaps,
 )
+from studies.results.planned import Planned
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Prediction, Uncertainty
 from studies.words.wording import (
     axis_label,
@@ -275,6 +279,41 @@ def interval_figure(box: ParameterSpace, found: Uncertainty) -> Figure:
     x = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS)
     panel = Panel("parameters", x, Axis("", is_of_names=True), series, 26 * len(names))
     return Figure("Intervals of the parameters between their bounds", (panel,), caption=caption)
+
+
+def planned_figure(found: Planned) -> Figure:
+    """Show half widths of every parameter now and after each of the best candidates.
+
+    Args:
+        found: The candidates.
+    """
+    names, dot = list(found.half_widths), {"filled": True, "size": 40, "opacity": 1}
+    series = [Series("now", INK, list(found.half_widths.values()), names, "point", dot)]
+    for color, one in zip(SERIES, (one for one in found.candidates if not one.excluded), strict=False):
+        widths = [one.half_widths[name] for name in names]
+        series.append(Series(shortened(one.name), color, widths, names, "point", HOLLOW))
+    x = Axis("half of the 90 % interval, as a share of the range [1]", {"type": "log"})
+    panel = Panel("half widths", x, Axis("", is_of_names=True), series, 22 * len(names))
+    caption = "Expected by the linearised model; to the left is better."
+    return Figure("What the next experiment would tell", (panel,), caption=caption)
+
+
+def profile_figure(found: Profiles) -> Figure:
+    """Show what -2 log L rises by along the profile of every parameter, and the limit of the intervals.
+
+    Args:
+        found: The profiles.
+    """
+    x, highest = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS), 2.0 * found.limit
+    panels = []
+    for name, at, rises in zip(found.parameters, found.at, found.rises, strict=True):
+        limit = Series("limit of the interval", SCREENED, [0.0, 1.0], [found.limit] * 2)
+        inside = np.minimum(rises[np.isfinite(rises)], highest)
+        line = Series("profile", POLISHED, at[np.isfinite(at)], inside, style={"point": True})
+        y = Axis("rise of −2 log L [1]", {"domain": [0.0, highest]})
+        panels.append(Panel(shortened(name), x, y, [limit, line], 120, has_legend=False))
+    caption = "Others at their best; points above the picture lie at its edge. Blue below orange: within."
+    return Figure("Profile likelihoods", tuple(panels), columns=2, shows_names=True, caption=caption)
 
 
 def _density(box: ParameterSpace, particles: FloatArray, names: list[str]) -> Series:

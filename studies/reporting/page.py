@@ -25,6 +25,7 @@ from studies.reporting.figures_calibration import (
     calibration_figure,
     calls_figure,
     interval_figure,
+    profile_figure,
     validation_figure,
 )
 from studies.reporting.figures_model import (
@@ -36,8 +37,10 @@ from studies.reporting.figures_model import (
 from studies.reporting.figures_tuning import learning_figure, slices_figure
 from studies.reporting.sentences import (
     calibration_sentences,
+    choice_sentences,
     headline,
     mean_sentences,
+    profile_sentences,
     uncertainty_sentences,
 )
 from studies.reporting.tables import (
@@ -47,11 +50,15 @@ from studies.reporting.tables import (
     importances_table,
     intervals_table,
     parameters_table,
+    profiles_table,
     sensitivity_table,
+    structures_table,
     tuning_table,
     validation_table,
 )
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, TunedSize, Uncertainty
 from studies.results.trials import TunedStudy
 from studies.templates import environment
@@ -74,6 +81,8 @@ class ReportData:
         studies: The study of each training-set size, in its order.
         importances: Part of each hyperparameter in what decides the error, by training-set size and name. [1]
         uncertainties: How sure the calibrations are, as far as that was asked.
+        profiles: Profile likelihoods of the calibrations, likewise.
+        choices: Comparisons of this structure with others.
         commands: What made the results.
     """
 
@@ -87,6 +96,8 @@ class ReportData:
     studies: tuple[TunedStudy, ...] = ()
     importances: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     uncertainties: tuple[Uncertainty, ...] = ()
+    profiles: tuple[Profiles, ...] = ()
+    choices: tuple[Choice, ...] = ()
     commands: tuple[str, ...] = ()
 
 
@@ -150,6 +161,11 @@ def sections_of(data: ReportData) -> list[Section]:
     if best is not None:
         sections.append(replace(_calibration(data, best), anchor="calibration", heading="Calibration"))
     sections += [_uncertainty(data, one) for one in data.uncertainties]
+    sections += [
+        Section(f"choice-{n}", "Model structures", (), (structures_table(one, unit),),
+                paragraphs=tuple(choice_sentences(one, unit)))
+        for n, one in enumerate(data.choices)
+    ]  # fmt: skip
     pca_gp = {one.n_train: _errors(one.baseline) for one in data.tuned if one.baseline}
     beside = {"PCA + GP": pca_gp} if pca_gp else {}
     trials = () if data.trials is None else (mae_over_n_figure(data.trials, unit=unit, beside=beside),)
@@ -185,10 +201,12 @@ def _calibration(data: ReportData, outcome: Outcome[Calibration]) -> Section:
 
 def _uncertainty(data: ReportData, found: Uncertainty) -> Section:
     name, case = found.calibration, data.case
+    profiled = [one for one in data.profiles if one.calibration == name]
+    space, said = case.parameter_space, uncertainty_sentences(found, difference_unit(case.outputs[0].unit))
     return Section(
         f"uncertainty-{name}",
         f"How sure the {name} calibration is",
-        (band_figure(case, found), interval_figure(case.parameter_space, found)),
-        (intervals_table(case.parameter_space, found),),
-        paragraphs=tuple(uncertainty_sentences(found, difference_unit(case.outputs[0].unit))),
+        (band_figure(case, found), interval_figure(space, found), *map(profile_figure, profiled)),
+        (intervals_table(space, found), *(profiles_table(space, one, found) for one in profiled)),
+        paragraphs=(*said, *(line for one in profiled for line in profile_sentences(one))),
     )

@@ -9,7 +9,10 @@ import numpy as np
 from studies.calibration.search.misfit_threshold import misfit_threshold
 from studies.calibration.uncertainty.identifiability import DETERMINED, Ridge
 from studies.calibration.uncertainty.noise import Noise
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
+from studies.results.profiled import Profiles
 from studies.results.stage_results import (
     Calibration,
     Determined,
@@ -355,4 +358,84 @@ def mean_sentences(tuned: Sequence[TunedSize]) -> list[str]:
             parts = zip(one.parts, errors, strict=True)
             made_of = " + ".join(f"{part.share:.2f} × {part.name} ({error})" for part, error in parts)
             said.append(f"n_train {one.n_train}: MAE {significant(one.mae)} {one.unit} is that of {made_of}")
+    return said
+
+
+def choice_sentences(found: Choice, unit: str) -> list[str]:
+    """Say which structure the data choose, and what that assumes.
+
+    Args:
+        found: The comparison.
+        unit: Unit of a difference of the first output.
+    """
+    said = [
+        f"Chosen: {found.chosen}; {found.reason}."
+        if found.chosen
+        else f"The data do not tell: {found.reason}."
+    ]
+    if not found.is_explained:
+        said.append(
+            "The residuals of the most probable structure are still autocorrelated: it too may lack "
+            "something, and the comparison takes what it lacks for noise."
+        )
+    said.append(
+        f"{noise_sentence(found.noise, unit)} It is that of {found.noise_of}, for all structures alike."
+    )
+    if by_process := [one.case for one in found.structures if not one.by_equations]:
+        said.append(f"Of {listed(by_process)} a Gaussian process of the simulations stands for the model.")
+    said.append(
+        "Evidence depends on bounds and priors: a parameter that the data hardly need counts the more "
+        "against a structure, the wider its bounds are."
+    )
+    return said
+
+
+def profile_sentences(found: Profiles) -> list[str]:
+    """Say which profiles stay within up to a bound, along which ridge, and how sure that is.
+
+    Args:
+        found: The profiles.
+    """
+    said = []
+    for name, one in found.parameters.items():
+        if any(one.at_bound):
+            where = (
+                "both bounds"
+                if all(one.at_bound)
+                else "the upper bound"
+                if one.at_bound[1]
+                else "the lower bound"
+            )
+            ridge = f", while {listed(one.moves)} move with it" if one.moves else ""
+            said.append(f"{name} fits up to {where}{ridge}.")
+    who = "state equations" if found.by_equations else "a Gaussian process of the simulations"
+    how = "confirm" if found.is_confirmed else "do not confirm"
+    said.append(f"The profiles are of {who}; {count(found.n_calls, 'simulation')} at their ends {how} them.")
+    said.append("They assume that the model is right and the noise is as above, and no normal distribution.")
+    return said
+
+
+def planned_sentences(found: Planned) -> list[str]:
+    """Say which experiment would tell most, and what that assumes.
+
+    Args:
+        found: The candidates.
+    """
+    best = found.candidates[0]
+    if best.excluded:
+        return ["No candidate may be made."]
+    shrunk = percent(best.shrinks_to)
+    said = [f"Best: {best.name}, {best.what}; intervals are expected to shrink to {shrunk} on average."]
+    if best.own:
+        said.append(f"It has values of its own of {listed(best.own)}, which are taken for unknown.")
+    over = count(found.n_points, "equally good parameter set")
+    where = "at the calibrated point" if found.n_points == 1 else f"over {over}"
+    said.append(
+        f"Expected {where}, by {count(found.n_calls, 'simulation')}, if the model is right, noise stays as "
+        "it is, and residuals are linear within the intervals."
+    )
+    if found.error is not None:
+        said.append(
+            f"Its equations and a simulation differ by {significant(found.error, 2)} uncertainties at most."
+        )
     return said

@@ -8,8 +8,11 @@ import numpy as np
 from simulation.parameters import ParameterSpace
 from studies.blocks import Column, Table, number
 from studies.results.best_mean import shortened_model
+from studies.results.choice import Choice
 from studies.results.declaration import CROSS_VALIDATED
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Held, Screened, TunedSize, Uncertainty
 from studies.words.wording import (
     MISSING,
@@ -336,3 +339,108 @@ def intervals_table(space: ParameterSpace, found: Uncertainty) -> Table:
         )
     title = f"{share} intervals of the parameters ({found.calibration})"
     return Table(title, columns, rows)
+
+
+def structures_table(found: Choice, unit: str) -> Table:
+    """Tabulate compared structures, the chosen one pointed out.
+
+    Args:
+        found: The comparison.
+        unit: Unit of the first output's differences.
+    """
+    square = square_of(unit)
+    columns = (
+        Column("structure"),
+        number("parameters"),
+        number("determined", spare=1),
+        number("error", square),
+        number("AIC", spare=2),
+        number("BIC"),
+        number("log evidence"),
+        number("probability"),
+        number("left-out error", square),
+        number("white", spare=2),
+        Column("restricts", spare=3),
+        number("p", spare=3),
+        number("calls", spare=1),
+    )
+    least = [min(getattr(one, key) for one in found.structures) for key in ("aic", "bic")]
+    rows = [
+        [
+            one.case,
+            one.n_parameters,
+            len(one.determined),
+            significant(one.mse, 4),
+            *(f"+{value - low:.1f}" for value, low in zip((one.aic, one.bic), least, strict=True)),
+            f"{one.log_evidence:.1f}",
+            percent(one.probability),
+            significant(one.left_out_mse, 4),
+            significant(one.white, 2),
+            one.larger or MISSING,
+            significant(one.restriction, 2),
+            one.n_calls + one.n_judged,
+        ]
+        for one in found.structures
+    ]
+    names = [one.case for one in found.structures]
+    title = f"Structures on one measurement (AIC, BIC: above the least; left out: {found.blocks})"
+    return Table(title, columns, rows, names.index(found.chosen) if found.chosen else None)
+
+
+def profiles_table(space: ParameterSpace, found: Profiles, posterior: Uncertainty) -> Table:
+    """Tabulate the intervals of profiles beside those of the posterior.
+
+    Args:
+        space: The parameters.
+        found: The profiles.
+        posterior: The uncertainty that they belong to.
+    """
+    share = percent(found.level)
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        number(f"profile {share} from"),
+        number("to"),
+        number("posterior from", spare=1),
+        number("to", spare=1),
+        number("rise by simulation", spare=2),
+        number("at both ends", spare=2),
+        Column("moves with", spare=1),
+    )
+    rows = []
+    for one, interval in zip(space.parameters, posterior.interval.T.tolist(), strict=True):
+        its = found.parameters[one.name]
+        digits = digits_between(*its.interval, least=4)
+        ends = [significant(value, digits) for value in (*its.interval, *interval)]
+        ends[:2] = [f"{end}{' (bound)' * is_open}" for end, is_open in zip(ends, its.at_bound, strict=False)]
+        rises = (significant(value, 2) for value in its.rise)
+        rows.append([one.name, shown_unit(one.unit), *ends, *rises, ", ".join(its.moves) or MISSING])
+    title = f"Profile likelihoods: {share} where −2 log L rises by {significant(found.limit)}"
+    return Table(title, columns, rows)
+
+
+def planned_table(found: Planned) -> Table:
+    """Tabulate candidates for the next experiment, the best first."""
+    columns = (
+        Column("candidate"),
+        Column("what", spare=1),
+        number("days"),
+        number("intervals shrink to"),
+        number(found.criterion, spare=2),
+        Column("would determine"),
+        number("calls", spare=2),
+    )
+    rows = [
+        [
+            one.name,
+            one.what,
+            significant(one.days),
+            percent(one.shrinks_to),
+            significant(one.merit, 4),
+            one.excluded or ", ".join(one.determines) or MISSING,
+            one.n_calls,
+        ]
+        for one in found.candidates
+    ]
+    title = "What the next experiment would tell, the best first"
+    return Table(title, columns, rows, None if found.candidates[0].excluded else 0)

@@ -1,6 +1,6 @@
 """What lies in the results folder of a label: finished calibrations and uncertainties, of one case file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -8,7 +8,9 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome, read_manifest, read_outcome
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.knowledge import is_current
 from studies.task import Task
@@ -30,6 +32,22 @@ def stored_uncertainties(task: Task) -> Iterator[Outcome[Uncertainty]]:
         found = read_outcome(task.results, f"uncertainty-{calibration.name}", Uncertainty)
         is_of_it = found is not None and np.array_equal(found.result.point, calibration.result.point)
         if found is not None and is_of_it and is_current(found.inputs, task.case):
+            yield found
+
+
+def stored_profiles(task: Task, uncertainties: Sequence[Outcome[Uncertainty]]) -> Iterator[Outcome[Profiles]]:
+    """Read the profile likelihoods that belong to uncertainties as they are."""
+    for one in uncertainties:
+        found = read_outcome(task.results, f"profiles-{one.result.calibration}", Profiles)
+        if found is not None and found.inputs["uncertainty"] == one.digest:
+            yield found
+
+
+def stored_choices(task: Task) -> Iterator[Outcome[Choice]]:
+    """Read the comparisons of this structure with others, as long as its measurement is the same."""
+    for file in sorted(task.results.glob("choose-*.json")):
+        found = read_outcome(task.results, file.stem, Choice)
+        if found is not None and is_current(found.inputs["structures"][0], task.case):
             yield found
 
 

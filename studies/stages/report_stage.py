@@ -9,7 +9,13 @@ from studies.results.provenance import file_digest
 from studies.results.row_set import RowSet
 from studies.results.stage_results import Reported, SimulatedSets
 from studies.results.trials import TunedStudy
-from studies.stages.finished import stored, stored_calibrations, stored_uncertainties
+from studies.stages.finished import (
+    stored,
+    stored_calibrations,
+    stored_choices,
+    stored_profiles,
+    stored_uncertainties,
+)
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_report
 from studies.stages.tuned_trials import trials_record, tuned_by_size
@@ -31,7 +37,9 @@ def report_stage(task: Task) -> Outcome[Reported]:
     if not calibrations:
         raise InputError(f"{task.label} has no calibration to report; type: studies calibrate {task.command}")
     tuned, baselines = (tuned_by_size(task, baseline=is_baseline) for is_baseline in (False, True))
-    stages = ["simulate", "sensitivity", *(one.stage for one in (*calibrations, *uncertainties))]
+    choices, profiles = tuple(stored_choices(task)), tuple(stored_profiles(task, uncertainties))
+    judged = *calibrations, *uncertainties, *choices, *profiles
+    stages = ["simulate", "sensitivity", *(one.stage for one in judged)]
     files = [task.results / f"{stage}.json" for stage in stages]
     inputs = {
         "case": [task.case.digest, file_digest(task.case.path)],
@@ -58,6 +66,8 @@ def report_stage(task: Task) -> Outcome[Reported]:
             studies=tuple(tuned.values()),
             importances={n: _importances(one) for n, one in tuned.items()},
             uncertainties=tuple(one.result for one in uncertainties),
+            profiles=tuple(one.result for one in profiles),
+            choices=tuple(one.result for one in choices),
             commands=tuple(dict.fromkeys(str(one.provenance["command"]) for one in calibrations)),
         )
         write_page(data, index)

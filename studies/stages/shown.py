@@ -4,15 +4,28 @@ import math
 from collections.abc import Iterator, Sequence
 
 from studies.calibration.search.misfit_threshold import SENSOR_UNCERTAINTIES
-from studies.reporting.sentences import calibration_sentences, headline, uncertainty_sentences
+from studies.reporting.sentences import (
+    calibration_sentences,
+    choice_sentences,
+    headline,
+    planned_sentences,
+    profile_sentences,
+    uncertainty_sentences,
+)
 from studies.reporting.tables import (
     best_of,
     calibrations_table,
     intervals_table,
     parameters_table,
+    planned_table,
+    profiles_table,
+    structures_table,
     validation_table,
 )
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
+from studies.results.profiled import Profiles
 from studies.results.stage_results import Calibration, Uncertainty
 from studies.stages.check_stage import found_of_the_step
 from studies.task import Task
@@ -106,6 +119,31 @@ def show_uncertainty(task: Task, found: Uncertainty) -> None:
     if case.note:
         task.console.result(f"Note: {case.note}")
     task.console.result(f"Pictures: studies report {task.command}")
+
+
+def show_profiles(task: Task, found: Profiles, posterior: Uncertainty) -> None:
+    """Print the intervals of profiles beside the posterior's, and where they are open."""
+    task.console.show([profiles_table(task.case.parameter_space, found, posterior)])
+    for sentence in profile_sentences(found):
+        task.console.result(sentence)
+
+
+def show_planned(task: Task, found: Planned) -> None:
+    """Print candidates for the next experiment, and where the tables of the best one lie."""
+    task.console.show([planned_table(found)])
+    for sentence in planned_sentences(found):
+        task.console.result(sentence)
+    for what, place in (("For the case file", found.block), ("Its inputs", found.inputs)):
+        if place:
+            task.console.result(f"{what}: {task.paths.show(task.paths.root / place)}")
+
+
+def show_choice(task: Task, found: Choice) -> None:
+    """Print what speaks for each structure, and which one the data choose."""
+    unit = difference_unit(task.case.outputs[0].unit)
+    task.console.show([structures_table(found, unit)])
+    for sentence in choice_sentences(found, unit):
+        task.console.result(sentence)
 
 
 def _warn_failed(task: Task, found: Calibration | Uncertainty) -> None:

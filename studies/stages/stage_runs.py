@@ -16,12 +16,18 @@ from studies.reporting.figures_calibration import (
     calibration_figure,
     calls_figure,
     interval_figure,
+    planned_figure,
+    profile_figure,
 )
+from studies.results.choice import Choice
 from studies.results.outcome import Outcome
+from studies.results.planned import Planned
+from studies.results.profiled import Profiles
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, Prediction, Reported, Uncertainty
 from studies.task import Task
 from studies.tracking.origin import environment
+from studies.tracking.study_tags import PARENT
 
 
 def log_calibration(task: Task, outcome: Outcome[Calibration]) -> None:
@@ -126,6 +132,47 @@ def log_prediction(task: Task, outcome: Outcome[Prediction]) -> None:
     )
 
 
+def log_profiles(task: Task, outcome: Outcome[Profiles]) -> None:
+    """Log profile likelihoods, with their picture."""
+    found = outcome.result
+    pictures = {"profiles": profile_figure(found)}
+    metrics = {"calls/all": found.n_calls}
+    _log(task, outcome, "profiles", params={"level": found.level}, metrics=metrics, pictures=pictures)
+
+
+def log_planned(task: Task, outcome: Outcome[Planned]) -> None:
+    """Log candidates for the next experiment, with their picture and the tables of the best one."""
+    found, root = outcome.result, task.paths.root
+    best = found.candidates[0]
+    _log(
+        task,
+        outcome,
+        "next",
+        params={"criterion": found.criterion, "points": found.n_points},
+        metrics={"calls/all": found.n_calls, "shrinks_to": best.shrinks_to},
+        tags={"calibration": found.calibration, "best": "" if best.excluded else best.name},
+        artifacts=[root / place for place in (found.block, found.inputs) if place],
+        pictures={"candidates": planned_figure(found)},
+    )
+
+
+def log_choice(task: Task, outcome: Outcome[Choice]) -> None:
+    """Log compared structures: a run of the comparison, and below it one of each structure."""
+    found, name = outcome.result, outcome.stage
+    params = {"noise": found.noise.kind, "seed": task.profile.seed}
+    parent = _log(
+        task, outcome, "choice", params=params, tags={"chosen": found.chosen, "reason": found.reason}
+    )
+    # As late as in `_log`.
+    from studies.tracking.runs import log_stage
+
+    for one in found.structures:
+        numbers = {key: value for key, value in plain(one).items() if isinstance(value, int | float)}
+        params = {"calibration": one.label, "n_parameters": numbers.pop("n_parameters")}
+        about = {"key": f"{outcome.digest}-{one.case}", "wall_s": outcome.wall_s, "tags": {PARENT: parent}}
+        log_stage(task, "structure", f"{name}: {one.case}", params=params, metrics=numbers, **about)
+
+
 def log_report(task: Task, outcome: Outcome[Reported]) -> None:
     """Log a report: its page, which holds its figures."""
     _log(task, outcome, "report", artifacts=[task.paths.root / outcome.result.index])
@@ -141,8 +188,8 @@ def _log(
     images: Sequence[Path] = (),
     pictures: Mapping[str, Figure] | None = None,
     **more: Any,
-) -> None:
-    """Log what every stage has, and more."""
+) -> str:
+    """Log what every stage has, and more; return the run's id."""
     # MLflow takes seconds to import, which a stage that is finished does without.
     from studies.tracking.runs import log_stage
 
@@ -156,7 +203,7 @@ def _log(
                 drawn.append(write_picture(figure, file, footnote=task.label))
             except MachineError as error:
                 task.console.warn(f"{outcome.stage}: {picture}: {error}; the result is complete without it")
-        log_stage(
+        return log_stage(
             task,
             kind,
             name or outcome.stage,

@@ -13,17 +13,12 @@ import numpy as np
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.search.adaptive import Adaptive
-from studies.calibration.search.first_design import first_points
-from studies.calibration.state_equations.coefficient import LEAST_TO_LEARN
 from studies.calibration.uncertainty.assess import STEP, Assessment, assess, particles_for, sampling_within
 from studies.calibration.uncertainty.bands import bands_of, noise_of_outputs, share_within
-from studies.calibration.uncertainty.density import Posterior
 from studies.calibration.uncertainty.findings import LEVEL, compensations, knowledge
-from studies.calibration.uncertainty.noise import NoiseKind, noise_of
+from studies.calibration.uncertainty.noise import NoiseKind
 from studies.calibration.uncertainty.rows import informative_rows
-from studies.physical_model import open_physical_model, open_watched_model, say_reused
-from studies.reporting.sentences import FITS_BETTER
+from studies.physical_model import say_reused
 from studies.results.outcome import Outcome
 from studies.results.stage_results import (
     ADAPTIVE,
@@ -35,9 +30,9 @@ from studies.results.stage_results import (
     Uncertainty,
 )
 from studies.simulation_time import duration
-from studies.stages.adaptive_stage import learned_ode_of
 from studies.stages.finished import stored_calibrations
-from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
+from studies.stages.judged_model import judged_model
+from studies.stages.knowledge import case_inputs, sensor_inputs
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_uncertainty
 from studies.stages.warm_start import WarmStart, stored_in_box
@@ -133,38 +128,18 @@ def _judge(
     task: Task, calibration: Outcome[Calibration], start: WarmStart, kind: NoiseKind, max_calls: int
 ) -> Uncertainty:
     """Say how sure a calibrated point is, and keep nothing but the simulations."""
-    case, theta, prior = task.case, calibration.result.point, prior_of(task.case)
-    measurement, n_parameters = case.measurement, case.parameter_space.n_parameters
-    has_equations = calibration.result.believes_equations
-    opened = open_watched_model(task) if has_equations else open_physical_model(task)
-    with opened as physical, task.console.bars() as bars:
-        problem = CalibrationProblem(physical, measurement, prior, case.layout)
-        y = physical.simulate(theta[None]).y[0]
-        noise = noise_of(kind, measurement, y, n_parameters)
-        posterior = Posterior(noise, prior)
-        rows = start(physical, problem, lambda found: posterior.at(found.u, found.mse))
-        known = rows.judged(physical, problem)
-        learned_ode = learned_ode_of(task.case, physical, problem)
-        if learned_ode is not None and known.n:
-            if known.n < LEAST_TO_LEARN:
-                # What the calibration simulated in single experiments is stored there.
-                n_first = Adaptive.design_size(problem.n_acting)
-                rng = np.random.default_rng(task.profile.seed)
-                learned_ode.learn_alone(first_points(n_first, n_parameters, rng))
-            learned_ode.note(known)
-        if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):
-            # What a calibration that ended early has left over is not noise.
-            noise = noise_of(kind, measurement, known.y[np.argmin(known.mse)], n_parameters)
-        emulator = None if learned_ode is None else learned_ode.model
+    theta, n_parameters = calibration.result.point, task.case.parameter_space.n_parameters
+    with judged_model(task, calibration, start, kind) as judged, task.console.bars() as bars:
+        problem, physical, emulator = judged.problem, judged.physical, judged.emulator
         sampling = sampling_within(max_calls, n_parameters)
         if emulator is not None:
             sampling = replace(sampling, n_of_emulator=particles_for(emulator.n_operations))
         found = assess(
             problem,
             theta,
-            y,
-            noise=noise,
-            known=known,
+            judged.y,
+            noise=judged.noise,
+            known=judged.known,
             sampling=sampling,
             seed=task.profile.seed,
             emulator=emulator,
@@ -173,9 +148,10 @@ def _judge(
     if not np.isfinite(found.sample.drawn.mse).any():
         raise StageError(f"no simulation of the sample succeeded; type: studies check {task.command}")
     # The point is asked first, to know the noise, and then among the stored rows once more.
-    n_repeated = int(np.all(rows.theta == theta, axis=1).sum())
+    n_repeated = int(np.all(judged.rows.theta == theta, axis=1).sum())
     say_reused(task, f"uncertainty-{calibration.name}", physical, n_repeated=n_repeated)
-    return _result(problem, found, physical, len(rows.theta), calibration.name, task.profile.seed, max_calls)
+    n_known, seed = len(judged.rows.theta), task.profile.seed
+    return _result(problem, found, physical, n_known, calibration.name, seed, max_calls)
 
 
 def _result(

@@ -249,7 +249,7 @@ def log_stage(
     figures: Sequence[Path] = (),
     artifacts: Sequence[Path] = (),
     record: Mapping[str, Any] | None = None,
-) -> None:
+) -> str:
     """Write a stage that has just ended as a run of its own, unless it is there with the same numbers.
 
     A run that a killed command left unfinished is ended as KILLED.
@@ -269,12 +269,15 @@ def log_stage(
         figures: image files.
         artifacts: other files.
         record: what makes it again, kept as `provenance.json`; nothing where nothing does.
+
+    Returns:
+        The id of its run.
     """
     runs, now_s, case = run_store(task.paths), time.time(), task.case
     numbers = {metric_name(k): v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
     for run in runs.find(task.label, {"stage_key": key, "role": kind}):
         if run.info.status == "FINISHED" and all(run.data.metrics.get(k) == v for k, v in numbers.items()):
-            return
+            return str(run.info.run_id)
         if run.info.status == "RUNNING":
             runs.end(run.info.run_id, "KILLED")
     about = {"role": kind, "stage_key": key, "case": case.name, "case_sha256": case.digest}
@@ -292,6 +295,7 @@ def log_stage(
     if record:
         runs.log_record(run_id, record)
     runs.end(run_id, "FINISHED", end_s=now_s)
+    return run_id
 
 
 def metric_name(name: str) -> str:

@@ -55,6 +55,11 @@ class Noise:
         """Deviation of white noise that says as little. [first output's unit]."""
         return self.deviation * float(np.sqrt(self.n_samples / self.n_independent))
 
+    @property
+    def unit(self) -> float:
+        """What a mean squared error rises by where -2 log L does by 1. [first output's unit squared]."""
+        return self.deviation**2 / self.n_independent
+
     def log_likelihood(self, mse: FloatArray) -> FloatArray:
         """Return how likely errors are, but for a constant.
 
