@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from studies.api.judgements import predict as predict
     from studies.api.judgements import report as report
     from studies.api.judgements import uncertainty as uncertainty
+    from studies.api.objectives import ObjectiveResult as ObjectiveResult
     from studies.api.problem import Problem as Problem
     from studies.api.projects import BestResult as BestResult
     from studies.api.projects import ComparisonResult as ComparisonResult
@@ -58,6 +59,7 @@ _MODULES = {
     "InputError": "simulation.errors",
     "LeastSquaresTRF": "studies.calibration.polish",
     "Measurement": "simulation.measurement",
+    "ObjectiveResult": "studies.api.objectives",
     "PredictionResult": "studies.api.judgements",
     "Problem": "studies.api.problem",
     "ProjectResult": "studies.api.projects",

@@ -169,7 +169,7 @@ def typed(verb: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> s
         given: Its keywords.
         defaults: What is not written, by keyword.
     """
-    words = ["studies", verb, str(given["case"])]
+    words = ["studies", verb, *([str(given["case"])] if given["case"] else [])]
     for name, value in given.items():
         option = f"--{name.replace('_', '-')}"
         is_plain = isinstance(value, (str, int, float))
