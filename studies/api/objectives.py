@@ -1,6 +1,5 @@
 """`tune` with a user's objective: the trials of a function, with all that trials of surrogates have."""
 
-import math
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -14,20 +13,15 @@ from studies.api.verb import shown
 from studies.keywords import typed
 from studies.paths import ProjectPaths, find_project, mark_project
 from studies.profile import ObjectiveProfile, load_objective_profile
-from studies.results.objective import ObjectiveDeclaration, ObjectiveTrial, TunedObjective
-from studies.tuning.attempts import places
+from studies.results.objective import ObjectiveDeclaration, TunedObjective
 from studies.tuning.live_trial import Objective
 from studies.tuning.objectives import imported, source_of, tune_objective
-from studies.tuning.sampler import make_pruner, make_sampler
-from studies.words.wording import count, listed, significant
+from studies.words.wording import count
 
 if TYPE_CHECKING:
     import pandas as pd
-    from optuna.trial import FrozenTrial
 
-SCHEMA = 1
-"""Version of the records of trials."""
-OF_A_CASE = ("n_train", "window", "simulations", "surrogate", "retry_failed", "dask")
+OF_A_CASE = ("case", "n_train", "window", "simulations", "surrogate", "retry_failed", "dask")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9._-]{0,63}")
 
 
@@ -37,27 +31,18 @@ class ObjectiveResult:
 
     Attributes:
         paths: Where everything lies.
-        tuned: The study with its trials.
+        tuned: The study; its `best` are trials as Optuna has them, one or the Pareto set.
     """
 
     paths: ProjectPaths
     tuned: TunedObjective
 
-    @property
-    def best(self) -> tuple[ObjectiveTrial, ...]:
-        """The best trial; of several values those of the Pareto set, by the first value."""
-        return self.tuned.best
-
     @cached_property
     def trials(self) -> "pd.DataFrame":
-        """A row per trial: its number, state, parameters, values, constraints and duration in s."""
+        """A row per trial: state, parameters, values, constraints, MLflow's run, duration in s."""
         import pandas as pd
 
-        rows = [
-            {"trial": t.number, "state": t.state, **t.params, **t.values, **t.constraints, "wall_s": t.wall_s}
-            for t in self.tuned.trials
-        ]
-        return pd.DataFrame(rows).set_index("trial")
+        return pd.json_normalize([self.tuned.row(one) for one in self.tuned.trials]).set_index("trial")
 
 
 def tuned_by(
@@ -74,52 +59,38 @@ def tuned_by(
         InputError: A keyword or a file is wrong, or no trial was completed.
         StageError: A worker failed.
     """
-    began_s, console = time.monotonic(), shown(given["console"])
-    for name in ("case", *OF_A_CASE):
-        if given[name] != defaults[name]:
-            word = name.replace("_", "-")
-            raise InputError(f"{word} is of a case, and an objective has none; leave out one of the two")
+    began_s, console, hours = time.monotonic(), shown(given["console"]), given["max_hours"]
+    if wrong := next((name for name in OF_A_CASE if given[name] != defaults[name]), None):
+        raise InputError(f"{wrong} = {given[wrong]} is of a case; leave it out, or leave out the objective")
     function = imported(objective) if isinstance(objective, str) else objective
-    source = source_of(function)
-    profile = given["profile"]
-    budget = ObjectiveProfile() if profile == defaults["profile"] else load_objective_profile(str(profile))
+    source, profile = source_of(function), ObjectiveProfile()
+    if given["profile"] != defaults["profile"]:
+        profile = load_objective_profile(str(given["profile"]))
+    label = given["name"] or re.split("[.:]", source["objective"])[-1]
     values, maximize = (
         _names("values", given["values"] or "value"),
         _names("maximize", given["maximize"] or ()),
     )
-    if unknown := [name for name in maximize if name not in values]:
-        raise InputError(f"maximize names {unknown[0]}, which is none of the values {listed(values)}")
-    label = given["name"] or source["objective"].rpartition(".")[2].rpartition(":")[2]
-    if not _NAME.fullmatch(label):
-        raise InputError(f"{label!r} is no name of a study; give --name, letters, digits, '.', '_' and '-'")
-    tuning, paths = budget.tuning, find_project(given["storage"], given["tracking"])
-    seed = budget.seed if given["seed"] is None else given["seed"]
-    n_trials, n_parallel = given["trials"] or tuning.n_trials, given["parallel"] or tuning.n_parallel
-    make_sampler(tuning.sampler, seed)
-    make_pruner(tuning.pruner)
+    _names("name", label)
+    if wrong := next((name for name in maximize if name not in values), None):
+        raise InputError(f"maximize: {wrong} is none of the values {', '.join(values)}")
+    tuning, paths = profile.tuning, find_project(given["storage"], given["tracking"])
     mark_project(paths, console)
+    n_trials, n_parallel = given["trials"] or tuning.n_trials, given["parallel"] or tuning.n_parallel
     spec = ObjectiveDeclaration(
         label=label,
         sampler=tuning.sampler,
         pruner=tuning.pruner,
-        seed=seed,
+        seed=profile.seed if given["seed"] is None else given["seed"],
         values=values,
         maximize=maximize,
         enqueue=tuple(dict(point) for point in tuning.enqueue),
         max_trial_s=tuning.max_trial_s,
-        note=budget.note,
+        note=profile.note,
         project=paths.identity if paths.storage is not None else "",
     )
     command = typed("tune", {**given, "case": "", "objective": source["objective"]}, defaults)
-    what, max_hours = f"{count(n_trials, 'trial')} of {label}", given["max_hours"]
-    with console.stage("tune", what), console.bars() as bars:
-
-        def show(trials: "Sequence[FrozenTrial]") -> None:
-            latest = places(trials)
-            done = [one for one in latest if one.state.is_finished()]
-            news = "" if len(values) > 1 else _best_so_far(done, spec)
-            bars(label, len(done), max(n_trials, len(latest)), news)
-
+    with console.stage("tune", f"{count(n_trials, 'trial')} of {label}"), console.bars() as bars:
         found = tune_objective(
             spec,
             function,
@@ -127,34 +98,28 @@ def tuned_by(
             n_trials=n_trials,
             n_jobs=given["jobs"] or max(available_cores(), n_parallel),
             n_parallel=n_parallel,
-            until_s=None if max_hours is None else began_s + 3600.0 * max_hours,
-            provenance={"schema": SCHEMA, "kind": "objective", "label": label, "command": command, **source},
-            on_trials=show,
+            until_s=None if hours is None else began_s + 3600.0 * hours,
+            provenance={"kind": "objective", "command": command, **source},
+            on_poll=lambda now: bars(label, now.n_ended, now.n_planned),
             on_warning=console.warn,
         )
-    if max_hours is not None and found.n_ended < n_trials:
+    if found.n_ended < n_trials:
         console.say(
             f"tune: --max-hours ended it after {found.n_ended} of {n_trials} trials; the same command goes on"
         )
     elif not found.count("complete"):
-        failed = next(
-            (one.reason for one in found.trials if one.state == "failed" and one.reason), "all were pruned"
+        said = next((found.row(one)["reason"] for one in found.trials if one.state.name == "FAIL"), "pruned")
+        raise InputError(
+            f"no trial of {found.spec.name} was completed; the first: {said}; MLflow has the others"
         )
-        raise InputError(f"no trial of {found.spec.name} was completed ({failed}); MLflow has their reasons")
     return ObjectiveResult(paths, found)
 
 
 def _names(keyword: str, given: str | Sequence[str]) -> tuple[str, ...]:
     names = (given,) if isinstance(given, str) else tuple(given)
-    for name in names:
-        if not _NAME.fullmatch(name):
-            raise InputError(f"{keyword}: {name!r} is no name; give letters, digits, '.', '_' and '-'")
-    if len({*names}) != len(names):
-        raise InputError(f"{keyword} names one twice: {listed(names)}")
+    wrong = [name for name in names if not _NAME.fullmatch(name) or names.count(name) > 1]
+    if wrong:
+        raise InputError(
+            f"{keyword}: {wrong[0]!r}: give each once, a letter and then letters, digits, '.', '_', '-'"
+        )
     return names
-
-
-def _best_so_far(done: "Sequence[FrozenTrial]", spec: ObjectiveDeclaration) -> str:
-    complete = [one.values[0] for one in done if one.state.name == "COMPLETE" and one.values]
-    best = (max if spec.maximize else min)(complete, default=math.nan)
-    return f": best {spec.values[0]} {significant(best)}" if complete else ""

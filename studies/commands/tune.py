@@ -22,8 +22,6 @@ Examples:
 """
 
 import argparse
-import os
-import sys
 
 from simulation.errors import InputError
 from studies.commands import options
@@ -32,11 +30,7 @@ from studies.words.console import Console
 
 OPTIONS = (
     *options.SIMULATED,
-    options.Option(
-        "--objective",
-        metavar="MODULE:FUNCTION",
-        help="tune with a function of yours instead of surrogates; it takes a trial and returns a number",
-    ),
+    options.OBJECTIVE,
     options.Option("--name", metavar="NAME", help="its study; default: the name of the function"),
     options.Option("--values", nargs="+", metavar="NAME", help="what it returns; default: value"),
     options.Option("--maximize", nargs="+", metavar="NAME", help="those that are maximized; default: none"),
@@ -63,7 +57,7 @@ def _objective(chosen: argparse.Namespace, console: Console) -> int:
     """Tune with a user's function, which modules of the working folder may hold."""
     if chosen.dry_run:
         raise InputError("--dry-run is of a case, and an objective has none; leave out one of the two")
-    sys.path.insert(0, os.getcwd())  # noqa: PTH109 (a text)
+    options.find_modules(chosen)
     from studies.api.chain import tune
     from studies.api.objectives import ObjectiveResult
     from studies.reporting.tables_objective import best_blocks_of

@@ -55,6 +55,7 @@ class StudyDeclaration:
 
     __pydantic_config__ = STRICT
     step_word: ClassVar[str] = "step"
+    maximize: tuple[str, ...] = ()
     is_curve: ClassVar[bool] = True
     """Whether MLflow shows what its trials report; else they write curves of their own."""
 
@@ -104,19 +105,9 @@ class StudyDeclaration:
         raise NotImplementedError
 
     @property
-    def directions(self) -> list[str]:
-        """Whether each of these is minimized or maximized, in Optuna's words."""
-        return ["minimize"] * len(self.value_names)
-
-    @property
     def first_points(self) -> list[dict[str, Any]]:
         """The configurations that are tried first."""
         return [*self.enqueue]
-
-    @property
-    def n_defaults(self) -> int:
-        """How many of these are no choice of the user's."""
-        return 0
 
     def results_of(
         self, state: str, values: Sequence[float] | None, attrs: Mapping[str, Any]
@@ -320,11 +311,6 @@ class Declaration(StudyDeclaration):
             bases += [one.replace(states=name) for name in states.choices[1:] for one in bases[:1]]
         defaults = [default_point(self.space, base) for base in bases]
         return [*defaults, *(defaults[0] | dict(point) for point in self.enqueue)]
-
-    @property
-    def n_defaults(self) -> int:
-        """The first of these are the surrogate's own."""
-        return 1
 
     def config(self, params: Mapping[str, Any]) -> SurrogateConfig:
         """Return all settings of a trial's surrogate."""

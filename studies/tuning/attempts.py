@@ -10,11 +10,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import optuna
 import psutil
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
+from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.config import SurrogateConfig
@@ -26,6 +27,7 @@ from studies.results.saved import rebuilt
 if TYPE_CHECKING:
     from optuna.study._frozen import FrozenStudy
 
+D = TypeVar("D", bound=StudyDeclaration)
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 RUN_ID, OWNER = "mlflow_run_id", "owner"
@@ -75,8 +77,10 @@ def make_study(
         carried: trials of earlier studies that are trials of this one, too; read where it is new.
         has_smaller: whether its last trial waits for the best configuration of a smaller size.
     """
+    up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
+    directions = [up if name in spec.maximize else down for name in spec.value_names]
     study = optuna.create_study(
-        storage=storage, study_name=spec.name, directions=spec.directions, load_if_exists=True
+        storage=storage, study_name=spec.name, directions=directions, load_if_exists=True
     )
     # The declared name has a digest of what decides; a device or a limit may still have changed.
     if study.user_attrs.get(DECLARATION) != spec.to_dict():
@@ -96,7 +100,7 @@ def make_study(
     for place, params in enumerate(spec.first_points):
         # Without hyperparameters every trial equals this one, and Optuna would skip it.
         if is_new or place:
-            origin = "default" if place < spec.n_defaults else "profile"
+            origin = "default" if place == 0 and isinstance(spec, Declaration) else "profile"
             study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
     is_held = has_smaller and n_begun(study.get_trials(deepcopy=False)) < n_trials
     if study.user_attrs.get(ALLOWED, n_trials) != (allowed := n_trials - is_held):
@@ -166,22 +170,30 @@ def is_owned(trial: FrozenTrial) -> bool:
     return isinstance(owner, dict) and owner.get("trial") == trial.number
 
 
-def declaration_of(study: "optuna.Study | FrozenStudy") -> Declaration | ObjectiveDeclaration:
+def declaration_of(study: "optuna.Study | FrozenStudy", kind: type[D] = Declaration) -> D:
     """Return what a study was declared with.
 
+    Args:
+        study: the study.
+        kind: what its trials do.
+
     Raises:
-        InputError: it was made by another program or version.
+        InputError: it was made by another program or version, or its trials do something else.
     """
     declared = study.user_attrs.get(DECLARATION)
     if not isinstance(declared, dict):
         raise InputError(f"the Optuna study {study.study_name!r} was not made by this program")
-    kind = ObjectiveDeclaration if is_of_objective(declared) else Declaration
+    if is_of_objective(declared) != (kind is ObjectiveDeclaration):
+        raise InputError(
+            f"the trials of {study.study_name!r} are not of this kind; those of a function need "
+            f"studies tune --objective MODULE:FUNCTION --name {declared.get('label')}"
+        )
     return rebuilt(kind, declared, f"the Optuna study {study.study_name!r}")
 
 
-def is_of_objective(declared: Mapping[str, Any]) -> bool:
+def is_of_objective(declared: Any) -> bool:
     """Say whether a declaration is of a user's objective, and not of a surrogate."""
-    return "values" in declared
+    return isinstance(declared, dict) and "values" in declared
 
 
 def first_number(trial: FrozenTrial) -> int:

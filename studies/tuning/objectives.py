@@ -1,6 +1,7 @@
 """Studies of a user's objective: a function takes a trial, and returns a value or several."""
 
 import inspect
+import logging
 import pickle
 import random
 import tempfile
@@ -12,7 +13,6 @@ from typing import Any
 
 import cloudpickle
 import numpy as np
-from optuna.trial import FrozenTrial
 
 from simulation.arrays import digest_of
 from simulation.errors import InputError
@@ -20,7 +20,7 @@ from simulation.foreign_text import quoted, shortened
 from studies.paths import ProjectPaths
 from studies.reporting.drawing import write_picture
 from studies.reporting.figures_objective import objective_figure
-from studies.results.objective import ObjectiveDeclaration, TunedObjective
+from studies.results.objective import ObjectiveDeclaration, TunedObjective, values_of
 from studies.results.provenance import file_digest
 from studies.tracking.origin import environment
 from studies.tracking.runs import RunStore
@@ -28,12 +28,11 @@ from studies.tracking.sending import begin_sending
 from studies.tuning import attempts
 from studies.tuning.live_trial import LiveTrial, Objective
 from studies.tuning.objective_results import read_objective
+from studies.tuning.sampler import make_pruner, make_sampler
 from studies.tuning.side_by_side import Group, Part, opened_run, work_on
 from studies.tuning.storage import storage_of, study_locked
-from studies.tuning.stored_trials import stored_trials
 
-OnTrials = Callable[[Sequence[FrozenTrial]], None]
-OnLine = Callable[[str], None]
+_LOG = logging.getLogger(__name__)
 
 
 def imported(address: str) -> Objective:
@@ -76,19 +75,6 @@ class ObjectiveTrials:
             run.write({"params": trial.params, "seed": trial.seed, "environment": environment()})
 
 
-def pickled(function: Objective) -> bytes:
-    """Return an objective as workers get it from their command.
-
-    Raises:
-        InputError: it holds what no other process can have.
-    """
-    try:
-        return cloudpickle.dumps(ObjectiveTrials(function))
-    except (TypeError, pickle.PicklingError) as error:
-        said = shortened(str(error))
-        raise InputError(f"the objective cannot be handed to worker processes ({said})") from None
-
-
 def source_of(function: Objective) -> dict[str, str]:
     """Return what an objective is called, and a digest of its text ("" where there is none)."""
     while hasattr(function, "func"):  # of functools.partial
@@ -110,10 +96,10 @@ def tune_objective(
     n_trials: int,
     n_jobs: int,
     n_parallel: int,
-    until_s: float | None,
     provenance: Mapping[str, Any],
-    on_trials: OnTrials,
-    on_warning: OnLine,
+    until_s: float | None = None,
+    on_poll: Callable[[TunedObjective], None] = lambda now: None,
+    on_warning: Callable[[str], None] = _LOG.warning,
     given: Mapping[str, Any] | None = None,
 ) -> TunedObjective:
     """Bring a study to its trials, as `tune_studies.tune` does those of surrogates.
@@ -125,9 +111,9 @@ def tune_objective(
         n_trials: trials in total, those of earlier commands among them.
         n_jobs: worker processes.
         n_parallel: workers of the study.
-        until_s: no trial begins after this moment of `time.monotonic`. [s]
         provenance: what makes its trials again, see `source_of`.
-        on_trials: called with the trials, about twice a second.
+        until_s: no trial begins after this moment of `time.monotonic`. [s]
+        on_poll: called with the study, about twice a second.
         on_warning: called with one line that a user should see.
         given: a trial that is made again: its "params" and "seed".
 
@@ -136,11 +122,19 @@ def tune_objective(
         StageError: a worker failed for a reason that is not a trial's.
         KeyboardInterrupt: after the workers were stopped and their trials given back.
     """
-    objective = pickled(function)
+    make_sampler(spec.sampler, spec.seed)
+    make_pruner(spec.pruner)
+    try:
+        objective = cloudpickle.dumps(ObjectiveTrials(function))
+    except (TypeError, pickle.PicklingError) as error:
+        raise InputError(
+            f"the objective cannot be given to worker processes: {shortened(str(error))}"
+        ) from None
     with storage_of(paths) as storage:
         for known in storage.get_all_studies():
-            declared = known.user_attrs.get(attempts.DECLARATION) or {}
-            if declared.get("label") == spec.label and not attempts.is_of_objective(declared):
+            declared = known.user_attrs.get(attempts.DECLARATION)
+            label = declared.get("label") if isinstance(declared, dict) else None
+            if label == spec.label and not attempts.is_of_objective(declared):
                 raise InputError(f"{spec.label} is a label of surrogates here; give another --name")
         runs = RunStore(paths)
         begin_sending(paths)
@@ -150,34 +144,37 @@ def tune_objective(
                 study.enqueue_trial(given["params"], user_attrs={attempts.SEED: given["seed"]})
         before = study.user_attrs.get(attempts.PROVENANCE, provenance)
         if before.get("source_sha256") != provenance["source_sha256"]:
-            on_warning(f"{spec.name}: the file of its objective changed; another --name begins anew")
+            on_warning(f"{spec.name}: the file of its objective has changed; another --name begins anew")
         run_id = opened_run(study, runs, spec, n_trials, provenance)
         part = Part(spec, study, run_id, storage, paths, runs)
         part.give_back()
-
-        def close(group: Group[Part]) -> None:
-            _close(runs, read_objective(study, stored_trials(storage, study._study_id)), run_id)
-
         work_on(
             [Group([part])],
             n_jobs=n_jobs,
             n_parallel=n_parallel,
             until_s=until_s,
-            on_poll=lambda group: on_trials(part.trials),
-            on_over=close,
+            on_poll=lambda group: on_poll(read_objective(study)),
+            on_over=lambda group: _close(runs, read_objective(study), run_id),
             objective=objective,
         )
-        return read_objective(study, stored_trials(storage, study._study_id))
+        return read_objective(study)
 
 
 def _close(runs: RunStore, found: TunedObjective, run_id: str) -> None:
     """Write what a study has come to on its run, with a picture, and end the run."""
-    numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
-    numbers["n_best"] = len(found.best)
-    if found.best:
-        numbers |= {f"best/{name}": value for name, value in found.best[0].values.items()}
-    runs.log(run_id, metrics=numbers, tags={"best_trial": found.best[0].number if found.best else ""})
-    if (figure := objective_figure(found)) is not None:
+    numbers = {f"n_{one}": float(found.count(one)) for one in ("complete", "pruned", "failed")}
+    first = values_of(found.best[0]) if found.best else ()
+    numbers |= {f"best/{name}": one for name, one in zip(found.spec.values, first, strict=False)}
+    runs.log(run_id, metrics=numbers, tags={"best_trial": "".join(str(one.number) for one in found.best[:1])})
+    best = {one.number for one in found.best}
+    groups: dict[str, list[list[float]]] = {"not feasible": [], "others": [], "the best": []}
+    for one in found.trials:
+        if one.state.name == "COMPLETE":
+            is_kept = all(value <= 0.0 for value in one.constraints.values())
+            name = "the best" if one.number in best else "others" if is_kept else "not feasible"
+            groups[name].append([one.number, *values_of(one)])
+    if any(groups.values()):
+        figure = objective_figure(f"Trials of {found.spec.name}", ("trial", *found.spec.values), groups)
         with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
             picture = write_picture(figure, Path(scratch) / "trials.svg", footnote=found.spec.label)
             runs.log_files(run_id, [picture], "figures")

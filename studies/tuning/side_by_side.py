@@ -141,7 +141,7 @@ class Group(Generic[P]):
                 part.runs.end(part.run_id, "KILLED")
 
 
-G = TypeVar("G", bound=Group)
+G = TypeVar("G", bound=Group[Any])
 
 
 def work_on(

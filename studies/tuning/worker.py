@@ -17,7 +17,8 @@ from optuna.trial import FrozenTrial
 
 from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths, find_project
-from studies.results.declaration import Declaration
+from studies.results.declaration import StudyDeclaration
+from studies.results.objective import ObjectiveDeclaration
 from studies.tracking.quiet_mlflow import MlflowException
 from studies.tracking.runs import RunStore
 from studies.tracking.sending import begin_sending, runs_sent
@@ -48,14 +49,15 @@ class Worker:
             study = optuna.load_study(study_name=name, storage=self._storage)
         except KeyError:
             raise InputError(f"there is no study {name!r}; type: studies status") from None
-        self._study, self._spec = study, attempts.declaration_of(study)
-        study.pruner = make_pruner(self._spec.pruner)
-        if objective is None and isinstance(self._spec, Declaration):
-            objective = SurrogateTrials(self._spec, paths, n_threads)
+        self._study, self._runs = study, RunStore(paths)
+        self._spec: StudyDeclaration
         if objective is None:
-            again = f"studies tune --objective MODULE:FUNCTION --name {self._spec.label}"
-            raise InputError(f"the trials of {name!r} are of an objective; type: {again}")
-        self._objective, self._runs = objective, RunStore(paths)
+            self._spec = spec = attempts.declaration_of(study)
+            objective = SurrogateTrials(spec, paths, n_threads)
+        else:
+            self._spec = attempts.declaration_of(study, ObjectiveDeclaration)
+        self._objective = objective
+        study.pruner = make_pruner(self._spec.pruner)
 
     def run(self, *, until_s: float | None = None) -> None:
         """Run trials until the study has as many as planned.
