@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.errors import InputError
 from simulation.trajectories import Trajectories
 from studies.api.calibrations import CalibrationResult, best_of
 from studies.api.judgements import CheckResult, UnsoundError
@@ -270,6 +271,9 @@ def tune(
         from studies.api.objectives import tuned_by
 
         return tuned_by(objective, locals(), DEFAULTS["tune"])
+    for key, value in {"name": name, "values": values, "maximize": maximize}.items():
+        if value is not None:
+            raise InputError(f"{key} = {value} is of an objective; give one, or leave it out")
     task = opened("tune", locals())
     from studies.stages.learn import require_tuning, tune_stage
     from studies.stages.simulate_stage import simulate_stage

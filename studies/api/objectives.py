@@ -67,11 +67,8 @@ def tuned_by(
     if given["profile"] != defaults["profile"]:
         profile = load_objective_profile(str(given["profile"]))
     label = given["name"] or re.split("[.:]", source["objective"])[-1]
-    values, maximize = (
-        _names("values", given["values"] or "value"),
-        _names("maximize", given["maximize"] or ()),
-    )
-    _names("name", label)
+    values = _names("values", given["values"] or "value")
+    maximize, _ = _names("maximize", given["maximize"] or ()), _names("name", label)
     if wrong := next((name for name in maximize if name not in values), None):
         raise InputError(f"maximize: {wrong} is none of the values {', '.join(values)}")
     tuning, paths = profile.tuning, find_project(given["storage"], given["tracking"])
@@ -103,11 +100,11 @@ def tuned_by(
             on_poll=lambda now: bars(label, now.n_ended, now.n_planned),
             on_warning=console.warn,
         )
-    if found.n_ended < n_trials:
+    if hours is not None and found.n_ended < n_trials:
         console.say(
             f"tune: --max-hours ended it after {found.n_ended} of {n_trials} trials; the same command goes on"
         )
-    elif not found.count("complete"):
+    elif not found.count("complete", "running"):
         said = next((found.row(one)["reason"] for one in found.trials if one.state.name == "FAIL"), "pruned")
         raise InputError(
             f"no trial of {found.spec.name} was completed; the first: {said}; MLflow has the others"

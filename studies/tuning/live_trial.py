@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution
 
@@ -14,7 +15,7 @@ from studies.results.declaration import StudyDeclaration
 from studies.tracking.runs import CURVE, metric_name
 from studies.tracking.trial_run import TrialRun
 from studies.tuning import attempts
-from studies.words.wording import count, listed
+from studies.words.wording import listed
 
 CONSTRAINT = "constraint/"
 """Begins the names of metrics that are constraints."""
@@ -149,11 +150,10 @@ def finite_values(returned: Any, names: Sequence[str]) -> float | list[float]:
         TrialFailedError: it is something else, or not finite.
     """
     try:
-        values = [*map(float, returned if isinstance(returned, Sequence) else [returned])]
+        values: list[float] = np.atleast_1d(np.asarray(returned, dtype=np.float64)).tolist()
     except (TypeError, ValueError):
-        raise TrialFailedError(f"the objective returned {quoted(returned)}, which is no number") from None
-    if len(values) != len(names):
-        raise TrialFailedError(f"the objective returned {count(len(values), 'value')} for {listed(names)}")
-    if not all(map(math.isfinite, values)):
-        raise TrialFailedError(f"the objective returned {listed(map(str, values))}, which is not finite")
+        values = []
+    if len(values) != len(names) or not all(map(math.isfinite, values)):
+        said = quoted(str(returned))
+        raise TrialFailedError(f"it returned {said}; return a finite number for {listed(names)}")
     return values[0] if len(values) == 1 else values
