@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from studies.api.judgements import predict as predict
     from studies.api.judgements import report as report
     from studies.api.judgements import uncertainty as uncertainty
+    from studies.api.objectives import ObjectiveResult as ObjectiveResult
     from studies.api.planning import ChoiceResult as ChoiceResult
     from studies.api.planning import NextResult as NextResult
     from studies.api.planning import choose as choose
@@ -65,6 +66,7 @@ _MODULES = {
     "LeastSquaresTRF": "studies.calibration.polish",
     "Measurement": "simulation.measurement",
     "NextResult": "studies.api.planning",
+    "ObjectiveResult": "studies.api.objectives",
     "PredictionResult": "studies.api.judgements",
     "Problem": "studies.api.problem",
     "ProjectResult": "studies.api.projects",

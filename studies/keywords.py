@@ -172,7 +172,7 @@ def typed(verb: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> s
         defaults: What is not written, by keyword.
     """
     # The function for `studies next` has another name, as next() is Python's own.
-    words = ["studies", verb.partition("_")[0], str(given["case"])]
+    words = ["studies", verb.partition("_")[0], *([str(given["case"])] if given["case"] else [])]
     for name, value in given.items():
         option = f"--{name.replace('_', '-')}"
         is_plain = isinstance(value, (str, int, float))

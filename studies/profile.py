@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
@@ -26,6 +26,7 @@ from studies.search_space import (
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
 Sample = Annotated[int, Field(ge=2, le=1_000_000)]
+T = TypeVar("T")
 SurrogateName = Literal["state-space", "refined", "paper", "pca-gp"]
 
 
@@ -103,7 +104,38 @@ class Confirmation:
 
 
 @dataclass(frozen=True, config=STRICT)
-class TuningBudget:
+class TrialsBudget:
+    """How many trials an Optuna study has, and who proposes and prunes them.
+
+    Args:
+        n_trials: trials in total, of surrogates per training-set size.
+        n_parallel: trials of one study that run side by side. With 1 the same command gives the same trials;
+            with more, what the sampler knows when it proposes depends on which trial ends first.
+        max_trial_s: longest trial; one that reaches it counts as pruned. [s]
+        sampler: a sampler of `optuna.samplers` by its name, or one of an installed package as "module:Class",
+            with its arguments.
+        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.sampler`), by its name,
+            or one of an installed package as "module:Class", with its arguments.
+        enqueue: configurations that are tried first, of surrogates right after their own.
+    """
+
+    n_trials: Count = 100
+    n_parallel: Count = 1
+    max_trial_s: Positive | None = None
+    sampler: dict[str, Any] = Field(default_factory=lambda: {"name": "TPESampler"})
+    pruner: dict[str, Any] = Field(default_factory=lambda: {"name": "MedianPruner"})
+    enqueue: tuple[dict[str, int | float | str | bool], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("sampler", "pruner"):
+            if not isinstance(getattr(self, name).get("name"), str):
+                raise ValueError(
+                    f'{name} is a table with the name of a class, as {name} = {{ name = "..." }}'
+                )
+
+
+@dataclass(frozen=True, config=STRICT)
+class TuningBudget(TrialsBudget):
     """How the surrogate is tuned.
 
     Args:
@@ -113,14 +145,6 @@ class TuningBudget:
         max_epochs: limit of one training; None takes the surrogate's.
         patience: epochs without a better validation error; None takes the surrogate's.
         device: where the trials are trained; "auto" takes CUDA where there is some.
-        n_parallel: trials of one size that run side by side. With 1 the same command gives the same trials;
-            with more, what the sampler knows when it proposes depends on which trial ends first.
-        max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
-        sampler: a sampler of `optuna.samplers` by its name, or one of an installed package as "module:Class",
-            with its arguments.
-        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.sampler`), by its name,
-            or one of an installed package as "module:Class", with its arguments.
-        enqueue: configurations that are tried right after the surrogate's own.
         confirm: further seeds for the best configurations and the default one; None for none. The
             configuration of least mean error is chosen then.
         baseline: whether PCA + GP is also fitted, once per size, for comparison.
@@ -128,16 +152,13 @@ class TuningBudget:
         fixed: settings of the surrogate that are not searched, whether or not the search space names them.
     """
 
-    n_trials: Count
+    n_trials: Count = Field()
     surrogate: SurrogateName = "refined"
     max_epochs: Count | None = None
     patience: Count | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    n_parallel: Count = 1
-    max_trial_s: Positive | None = None
     sampler: dict[str, Any] = Field(default_factory=lambda: {"name": "TPESampler", "n_startup_trials": 6})
     pruner: dict[str, Any] = Field(default_factory=lambda: {"name": "CatchUpPruner"})
-    enqueue: tuple[dict[str, int | float | str | bool], ...] = ()
     confirm: Confirmation | None = None
     baseline: bool = True
     search: dict[str, SearchParameter] | None = None
@@ -150,11 +171,7 @@ class TuningBudget:
         return {name: one for name, one in space.items() if name not in self.fixed}
 
     def __post_init__(self) -> None:
-        for name in ("sampler", "pruner"):
-            if not isinstance(getattr(self, name).get("name"), str):
-                raise ValueError(
-                    f'{name} is a table with the name of a class, as {name} = {{ name = "..." }}'
-                )
+        super().__post_init__()
         check_fixed(self.surrogate, self.fixed)
         check_space(self.surrogate, self.space, self.enqueue)
 
@@ -236,7 +253,26 @@ class Profile:
         return self.budget.simulations is not None
 
 
-_READER = TypeAdapter(Profile)
+@dataclass(frozen=True, config=STRICT)
+class ObjectiveProfile:
+    """The budget of a study of a user's objective; which function that is no profile can say.
+
+    Args:
+        tuning: trials, sampler and pruner.
+        name: what a user calls it.
+        note: one sentence on what the budget is for.
+        seed: every random draw of a study derives from it.
+        schema: version of this form.
+    """
+
+    tuning: TrialsBudget = Field(default_factory=TrialsBudget)
+    name: str = ""
+    note: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    schema: Literal[1] = 1
+
+
+_READER, _READER_OF_OBJECTIVES = TypeAdapter(Profile), TypeAdapter(ObjectiveProfile)
 
 
 def load_profile(profile: str) -> Profile:
@@ -245,12 +281,25 @@ def load_profile(profile: str) -> Profile:
     Raises:
         InputError: no such profile, no TOML, an unknown key or a value out of its range.
     """
-    file = _find_profile(profile)
+    return _read(_READER, _find_profile(profile), f"compare with those in {PROFILE_FOLDER}")
+
+
+def load_objective_profile(profile: str) -> ObjectiveProfile:
+    """Read the profile of an objective by its path.
+
+    Raises:
+        InputError: no such profile, no TOML, an unknown key or a value out of its range.
+    """
+    remedy = "an objective's profile has name, note, seed and [tuning]: its trials, sampler and pruner"
+    return _read(_READER_OF_OBJECTIVES, _find_profile(profile), remedy)
+
+
+def _read(reader: TypeAdapter[T], file: Path, remedy: str) -> T:
     content = parse_toml(read_text(file, PROFILE), str(file))
     try:
-        return _READER.validate_python(content)
+        return reader.validate_python(content)
     except ValidationError as error:
-        raise InputError(f"{file}: {in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
+        raise InputError(f"{file}: {in_one_line(error)} ({remedy})") from None
 
 
 def in_one_line(error: ValidationError) -> str:

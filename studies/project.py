@@ -13,12 +13,15 @@ from studies.blocks import Block, Column, Table, number
 from studies.paths import ProjectPaths
 from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
+from studies.reporting.tables_objective import best_blocks_of, objectives_table
 from studies.results.declaration import ALIAS
+from studies.results.objective import TunedObjective
 from studies.results.outcome import Outcome, read_outcome
 from studies.results.saved import plain
 from studies.results.stage_results import Calibration, TunedSize
 from studies.results.trials import TunedStudy
 from studies.tracking.sent_runs import sent_runs
+from studies.tuning.objective_results import read_objectives
 from studies.tuning.study_results import joined_studies, latest_studies, read_studies
 from studies.words.console import format_seconds
 from studies.words.wording import (
@@ -109,11 +112,13 @@ class Project:
         paths: where everything lies.
         studies: its Optuna studies.
         calibrations: its finished calibrations.
+        objectives: studies of its user's objectives.
     """
 
     paths: ProjectPaths
     studies: Sequence[TunedStudy]
     calibrations: Sequence[FinishedCalibration]
+    objectives: Sequence[TunedObjective] = ()
 
     @cached_property
     def sizes(self) -> list[TunedSize]:
@@ -136,16 +141,18 @@ def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
     files = sorted((paths.mlruns / "results").glob("*/calibrate-*.json"))
     outcomes = [(file.parent.name, read_outcome(file.parent, file.stem, Calibration)) for file in files]
     calibrations = [FinishedCalibration.of(paths, label, one) for label, one in outcomes if one is not None]
-    studies = read_studies(paths)
+    studies, objectives = read_studies(paths), read_objectives(paths)
     if which is None:
-        return Project(paths, studies, calibrations)
+        return Project(paths, studies, calibrations, objectives)
     cases = {one.spec.label: one.spec.case_name for one in studies}
     cases |= {one.label: one.found.case for one in calibrations}
+    cases |= {one.spec.label: "" for one in objectives}
     labels = {label for label, case in cases.items() if fnmatchcase(label, which) or case == which}
     if not labels:
         raise InputError(f"nothing is called {which!r}; labels: {', '.join(sorted(cases)) or 'none'}")
     studies = [one for one in studies if one.spec.label in labels]
-    return Project(paths, studies, [one for one in calibrations if one.label in labels])
+    objectives = [one for one in objectives if one.spec.label in labels]
+    return Project(paths, studies, [one for one in calibrations if one.label in labels], objectives)
 
 
 def best_blocks(project: Project) -> list[Block]:
@@ -156,6 +163,8 @@ def best_blocks(project: Project) -> list[Block]:
         blocks += [label, *([table] if table else [])]
         blocks += mean_sentences([one.summary(project.studies) for one in found])
         blocks += [*_how_to_load(project, found), ""]
+    for objective in latest_objectives(project):
+        blocks += best_blocks_of(objective, project.paths.optuna_url)
     for calibration in best_calibrations(project):
         blocks += _calibration(calibration)
     return blocks or [f"No completed trial and no calibration yet; {FIRST_WORDS}"]
@@ -177,7 +186,13 @@ def best_document(project: Project) -> dict[str, Any]:
             for size, store in zip(sizes, stores, strict=True)
         ],
         "calibrations": [one.to_dict() for one in best_calibrations(project)],
+        "objectives": [one.to_dict() for one in latest_objectives(project)],
     }
+
+
+def latest_objectives(project: Project) -> list[TunedObjective]:
+    """Return the latest study of each objective's name that has a best trial."""
+    return [*{one.spec.label: one for one in project.objectives if one.best}.values()]
 
 
 def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
@@ -265,6 +280,8 @@ def status_blocks(project: Project) -> list[Block]:
     tuned = [one for one in project.sizes if not one.is_baseline]
     if tuned:
         blocks.append(_studies(tuned))
+    if project.objectives:
+        blocks.append(objectives_table(project.objectives))
     if project.calibrations:
         blocks.append(_calibrations(project.calibrations))
     return blocks or [f"Nothing in {project.paths.root} yet; {FIRST_WORDS}"]
@@ -276,6 +293,7 @@ def status_document(project: Project) -> dict[str, Any]:
         "command": "status",
         "studies": [asdict(one) for one in project.sizes],
         "calibrations": [one.to_dict() for one in project.calibrations],
+        "objectives": [one.to_dict() for one in project.objectives],
     }
 
 

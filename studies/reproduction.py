@@ -22,6 +22,7 @@ from simulation.errors import InputError
 from simulation.foreign_text import shortened
 from studies.calibration.search.adaptive import Adaptive
 from studies.paths import ProjectPaths, folder_name
+from studies.results.objective import ObjectiveDeclaration
 from studies.results.outcome import read_manifest
 from studies.results.provenance import FILE, Provenance, case_of, read_provenance
 from studies.results.saved import arrays_of, plain, read_arrays, rebuilt
@@ -35,7 +36,10 @@ from studies.task import Task
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, VALIDATION_MAE, RunStore, load_surrogate, run_store
 from studies.tracking.sent_runs import sent_runs
+from studies.tuning.attempts import RUN_ID
+from studies.tuning.live_trial import Objective
 from studies.tuning.means import judge, mean_of, share_name
+from studies.tuning.objectives import imported, source_of, tune_objective
 from studies.tuning.trial_training import Training, load_data, load_drive
 from studies.words.console import Column, Console
 
@@ -72,7 +76,14 @@ class Compared:
     relative: float | None = None
 
 
-def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) -> tuple[str, list[Compared]]:
+def reproduce(
+    paths: ProjectPaths,
+    name: str,
+    console: Console,
+    *,
+    n_jobs: int,
+    objective: Objective | str | None = None,
+) -> tuple[str, list[Compared]]:
     """Make the result of a run again.
 
     Args:
@@ -80,6 +91,8 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
         name: id of an MLflow run, or a calibration as `studies status` names it.
         console: says what is done.
         n_jobs: processes for simulations.
+        objective: the function, or "module:function", of a trial of a user's objective; no record names what
+            is run.
 
     Returns:
         The run's id and its numbers, recorded and now.
@@ -93,10 +106,14 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
         record = runs.record(run_id, Path(scratch))
+        if record.get("kind") == "objective":
+            with console.stage("reproduce", f"{run.info.run_name} once more"):
+                apart = ProjectPaths(Path(scratch) / "project")
+                return run_id, compare(*_of_objective(run, runs, record, apart, console, objective))
         made = read_provenance(record, f"MLflow's run {run_id}")
         case = case_of(paths, made, exactly=True)
         task = Task(case, made.profile, paths, console, n_jobs, made.label, made.command)
-        _say_differences(console, made.environment)
+        _say_differences(console, made.environment, environment())
         what = f"{run.info.run_name} of {task.label} once more"
         with console.stage("reproduce", what), threadpool_limits(made.n_threads):
             if made.kind == "mean":
@@ -188,9 +205,8 @@ def _find(runs: RunStore, name: str) -> "Run":
     raise InputError(f"nothing is called {name!r}; give {known}")
 
 
-def _say_differences(console: Console, was: Mapping[str, str]) -> None:
+def _say_differences(console: Console, was: Mapping[str, str], now: Mapping[str, str]) -> None:
     """Say which packages, code and machine differ from the recorded ones."""
-    now = environment()
     for key in sorted(set(was) | set(now)):
         if was.get(key) != now.get(key) and key != "device":
             before, after = (shortened(one.get(key, "–"), 40) for one in (was, now))
@@ -222,6 +238,44 @@ def _trial(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Nu
     was = {name: run.data.metrics[name] for name in numbers if name in run.data.metrics}
     again = [seen.get(step) for step in history]
     return {**was, curve: [*history.values()]}, {**numbers, curve: again}
+
+
+def _of_objective(
+    run: "Run",
+    runs: RunStore,
+    record: Mapping[str, Any],
+    apart: ProjectPaths,
+    console: Console,
+    objective: Objective | str | None,
+) -> tuple[Numbers, Numbers]:
+    """Call a user's function again, as the trial of a study in a project of its own."""
+    run_id = str(run.info.run_id)
+    if objective is None:
+        named = f"--objective {shortened(str(record.get('objective')))}"
+        raise InputError(f"no record says what is run; type: studies reproduce {run_id} {named}")
+    function = imported(objective) if isinstance(objective, str) else objective
+    if (source := source_of(function))["source_sha256"] != record.get("source_sha256"):
+        console.say(f"  {source['objective']}: its file has changed since")
+    spec = rebuilt(ObjectiveDeclaration, record.get("declaration"), f"MLflow's run {run_id}: {FILE}")
+    alone = replace(spec, pruner={"name": "NopPruner"}, enqueue=(), max_trial_s=None, project="")
+    again = tune_objective(
+        alone, function, paths=apart, n_trials=1, n_jobs=1, n_parallel=1, provenance=source, given=record
+    )
+    (made,) = again.trials
+    if reason := made.user_attrs.get("reason"):
+        console.say(f"  it failed now: {reason}")
+    store, recorded, now = RunStore(apart), dict[str, Any](), dict[str, Any]()
+    made_in = store.record(made.user_attrs[RUN_ID], apart.root)["environment"]
+    _say_differences(console, record.get("environment", {}), made_in)
+    for name in run.data.metrics:
+        was, after = (
+            {one.step: one.value for one in client.get_metric_history(of, name)}
+            for client, of in ((runs.client, run_id), (store.client, made.user_attrs[RUN_ID]))
+        )
+        # As far as a pruned trial came.
+        curves = [*was.values()], [after.get(step) for step in was]
+        recorded[name], now[name] = (one if len(was) > 1 else one[0] for one in curves)
+    return recorded, now
 
 
 def _mean(run: "Run", runs: RunStore, task: Task, made: Provenance) -> tuple[Numbers, Numbers]:

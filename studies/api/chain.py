@@ -6,11 +6,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.errors import InputError
 from simulation.trajectories import Trajectories
 from studies.api.calibrations import CalibrationResult, best_of
 from studies.api.judgements import CheckResult, UnsoundError
 from studies.api.result import Result
-from studies.api.verb import HasPath, opened, verb
+from studies.api.verb import DEFAULTS, HasPath, opened, verb
 from studies.calibration.sobol import SobolIndices
 from studies.keywords import Surrogate
 from studies.results.outcome import Outcome
@@ -21,8 +22,10 @@ from studies.words.console import Console
 if TYPE_CHECKING:
     import pandas as pd
 
+    from studies.api.objectives import ObjectiveResult
     from studies.stages.budget_stage import Spent
     from studies.task import Task
+    from studies.tuning.live_trial import Objective
 
 
 class SimulationResult(Result[SimulatedSets]):
@@ -208,6 +211,10 @@ def sensitivity(
 def tune(
     case: str | Path | HasPath = "office",
     *,
+    objective: "Objective | str | None" = None,
+    name: str | None = None,
+    values: str | Sequence[str] | None = None,
+    maximize: str | Sequence[str] | None = None,
     n_train: int | Sequence[int] | None = None,
     trials: int | None = None,
     parallel: int | None = None,
@@ -223,16 +230,25 @@ def tune(
     storage: str | None = None,
     tracking: str | None = None,
     console: Console | None = None,
-) -> TuningResult:
-    """Tune one surrogate per training-set size with Optuna, as `studies tune`.
+) -> "TuningResult | ObjectiveResult":
+    """Tune one surrogate per training-set size with Optuna, or an objective of yours, as `studies tune`.
+
+    An objective takes a trial and returns a number, or several. The trial is Optuna's (`suggest_float`,
+    `report`, `should_prune`, `set_constraint`), with `trial.seed`, `trial.log({"mae": 0.1}, step=3)` and
+    `trial.log_file("picture.png")`, which MLflow shows while the trial runs.
 
     Args:
         case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.
+        objective: A function that takes a trial, or "module:function"; None to tune surrogates of a case.
+        name: What the objective's study is called; None for the name of the function.
+        values: Names of what the objective returns, in its order; None for "value".
+        maximize: Those of the values that are maximized; None to minimize all.
         n_train: Training-set sizes; None for the profile's.
-        trials: Trials per size in all; None for the profile's.
+        trials: Trials per size, or of the objective, in all; None for the profile's.
         parallel: Trials of one size at the same time; None for 1, which makes the trials repeatable.
         max_hours: No simulation and no trial begins later; the same call continues. [h]
-        profile: Budget: "quick", "thorough", "paper", or a profile file.
+        profile: Budget: "quick", "thorough", "paper", or a profile file; of an objective a file with
+            [tuning], and without one 100 trials of TPESampler and MedianPruner.
         window: Part of the recording: two days, or a text as "0-10" or "2-8h"; None for the case's own.
         seed: Seed of all random numbers; None for the profile's.
         simulations: Most simulations of a whole run; None for the profile's.
@@ -245,12 +261,19 @@ def tune(
         console: Shows progress; None for standard error.
 
     Returns:
-        The best surrogate of each size.
+        The best surrogate of each size, or what the trials of the objective came to.
 
     Raises:
         InputError: The case, a keyword or a file is wrong.
         StageError: A stage failed.
     """
+    if objective is not None:
+        from studies.api.objectives import tuned_by
+
+        return tuned_by(objective, locals(), DEFAULTS["tune"])
+    for key, value in {"name": name, "values": values, "maximize": maximize}.items():
+        if value is not None:
+            raise InputError(f"{key} = {value} is of an objective; give one, or leave it out")
     task = opened("tune", locals())
     from studies.stages.learn import require_tuning, tune_stage
     from studies.stages.simulate_stage import simulate_stage

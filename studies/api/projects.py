@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from studies.comparison import ComparedSize
     from studies.project import Project
     from studies.reproduction import Compared
+    from studies.tuning.live_trial import Objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +172,7 @@ def status(
 def reproduce(
     run: str,
     *,
+    objective: "Objective | str | None" = None,
     jobs: int | None = None,
     storage: str | None = None,
     tracking: str | None = None,
@@ -180,6 +182,7 @@ def reproduce(
 
     Args:
         run: Id of an MLflow run, or the name of a calibration.
+        objective: The function, or "module:function", of a trial of yours: no record names what is run.
         jobs: Processes; None for the number of cores.
         storage: PostgreSQL database of Optuna and MLflow; None for $STUDIES_STORAGE, else files in mlruns.
         tracking: MLflow server that runs are also sent to, or "local"; None for $MLFLOW_TRACKING_URI.
@@ -192,7 +195,8 @@ def reproduce(
     from studies.reproduction import reproduce as repeated
 
     paths = find_project(storage, tracking)
-    run_id, rows = repeated(paths, run, shown(console), n_jobs=jobs or available_cores())
+    n_jobs = jobs or available_cores()
+    run_id, rows = repeated(paths, run, shown(console), n_jobs=n_jobs, objective=objective)
     return ReproductionResult(run_id, tuple(rows))
 
 

@@ -28,7 +28,7 @@ class HasPath(Protocol):
 
 P = ParamSpec("P")
 T = TypeVar("T")
-_DEFAULTS: dict[str, dict[str, Any]] = {}
+DEFAULTS: dict[str, dict[str, Any]] = {}
 
 
 def verb(function: Callable[P, T]) -> Callable[P, T]:
@@ -42,7 +42,7 @@ def verb(function: Callable[P, T]) -> Callable[P, T]:
     """
     signature = inspect.signature(function)
     name = function.__name__
-    _DEFAULTS[name] = {key: one.default for key, one in signature.parameters.items()}
+    DEFAULTS[name] = {key: one.default for key, one in signature.parameters.items()}
 
     @wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -89,4 +89,4 @@ def opened(name: str, given: Mapping[str, Any]) -> "Task":
     """
     case = given["case"]
     words = {**given, "case": getattr(case, "path", case)}
-    return open_task(name, words, shown(given.get("console")), typed(name, words, _DEFAULTS[name]))
+    return open_task(name, words, shown(given.get("console")), typed(name, words, DEFAULTS[name]))

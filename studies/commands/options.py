@@ -1,5 +1,8 @@
 """Options that several commands share, and what their words may be; anything else is refused in one line."""
 
+import argparse
+import sys
+from pathlib import Path
 from typing import Any
 
 from studies.keywords import CHOICES, READERS
@@ -122,6 +125,19 @@ TUNING = (
     ),
     MAX_HOURS,
 )
+OBJECTIVE = Option(
+    "--objective",
+    metavar="MODULE:FUNCTION",
+    help="a function of yours that takes a trial and returns a number, or several",
+)
+
+
+def find_modules(chosen: argparse.Namespace) -> None:
+    """Let Python find a function that was named in modules of the working folder."""
+    if chosen.objective is not None:
+        sys.path.insert(0, str(Path.cwd()))
+
+
 EVERYWHERE = (
     Option(
         "--storage",

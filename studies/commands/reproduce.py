@@ -6,13 +6,15 @@ trials. A calibration may also be given by its name in `studies status`, for exa
 What happens: the command takes case, settings and seed from the run. The case file, the FMU and the
 recordings must be unchanged (SHA-256); else one line names the changed file. It lists differences of code,
 packages and machine. Then it repeats the work and compares every number to the last digit. A calibration
-runs all of its simulations again. Stored results are not changed. The exit code is 0 if all numbers are
-equal, 1 if one differs, and 2 if something is missing.
+runs all of its simulations again. A trial of a function of yours calls the function again: name it with
+--objective, as no record may say what is run. What it measured by a clock differs. Stored results are not
+changed. The exit code is 0 if all numbers are equal, 1 if one differs, and 2 if something is missing.
 
 Examples:
   studies reproduce office-quick/adaptive
   studies reproduce office-quick/n0064
   studies reproduce "$RUN_ID" --json       a run of MLflow
+  studies reproduce "$RUN_ID" --objective mine:error
 """
 
 import argparse
@@ -24,12 +26,14 @@ from studies.words.console import Console
 
 OPTIONS = (
     options.Option("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration"),
+    options.OBJECTIVE,
     options.JOBS,
 )
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    options.find_modules(chosen)
     from studies.api.projects import reproduce
     from studies.reproduction import show_reproduction
 

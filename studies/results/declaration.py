@@ -4,11 +4,11 @@ Any worker, on any machine of the project, can go on with a study from its name 
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ CROSS_VALIDATED = "cv"
 """First part of the names of errors that were found by cross-validation."""
 DRIVE = "drive"
 """Of the file with what drives the model."""
+_ERRORS = ("val/", "test/", f"{CROSS_VALIDATED}/")
 
 
 def digest_of_arrays(arrays: Mapping[str, Any]) -> str:
@@ -35,21 +36,117 @@ def digest_of_arrays(arrays: Mapping[str, Any]) -> str:
     return digest_of(*(part for name in sorted(arrays) for part in (name, np.asarray(arrays[name]))))
 
 
-@dataclass(frozen=True)
-class Declaration:
+@dataclass(frozen=True, kw_only=True)
+class StudyDeclaration:
+    """What every Optuna study is declared with, whatever its trials do.
+
+    Args:
+        label: what the user calls it; MLflow's experiment.
+        sampler: Optuna's sampler: its name and arguments.
+        pruner: the pruner: its name and arguments.
+        seed: every random draw of the study derives from it and the training-set size.
+        n_train: rows of the training design that are used (failed simulations among them are left out); 0
+            where there is none.
+        enqueue: configurations that are tried first.
+        max_trial_s: longest trial; one that reaches it counts as pruned. Decides nothing else. [s]
+        note: shown where the numbers are shown.
+        project: identity of the project whose study it is in a database that others share; else empty.
+    """
+
+    __pydantic_config__ = STRICT
+    step_word: ClassVar[str] = "step"
+    maximize: tuple[str, ...] = ()
+    is_curve: ClassVar[bool] = True
+    """Whether MLflow shows what its trials report; else they write curves of their own."""
+
+    label: str
+    sampler: dict[str, Any]
+    pruner: dict[str, Any]
+    seed: int
+    n_train: int = 0
+    enqueue: tuple[dict[str, Any], ...] = ()
+    max_trial_s: float | None = None
+    note: str = ""
+    project: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the Optuna study."""
+        raise NotImplementedError
+
+    @property
+    def size(self) -> str:
+        """What its runs are called."""
+        return self.label
+
+    @property
+    def role(self) -> str:
+        """What its trials are called in MLflow."""
+        return "trial"
+
+    @property
+    def study_role(self) -> str:
+        """What its own run is called in MLflow."""
+        return "study"
+
+    @property
+    def seed_use(self) -> int:
+        """What its trials use their seeds for, see `trial_seed`."""
+        return 1
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What MLflow shows of each of its trials."""
+        return {"n_train": self.n_train} if self.n_train else {}
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Names of what a trial returns, as in MLflow."""
+        raise NotImplementedError
+
+    @property
+    def first_points(self) -> list[dict[str, Any]]:
+        """The configurations that are tried first."""
+        return [*self.enqueue]
+
+    def results_of(
+        self, state: str, values: Sequence[float] | None, attrs: Mapping[str, Any]
+    ) -> dict[str, float]:
+        """Return what a trial came to by name; nothing where it has come to nothing.
+
+        Args:
+            state: its state, as in `TrialView`.
+            values: what it returned, or reported last. Length m.
+            attrs: attributes that its worker gave it.
+        """
+        return dict(zip(self.value_names, values or (), strict=False)) if state == "complete" else {}
+
+    def trial_seed(self, place: int, use: int) -> int:
+        """Return the seed of a trial.
+
+        Args:
+            place: the trial's place in the study; a retry has that of the trial it repeats.
+            use: 0 for the sampler, 1 for the trial, 2 for a training that confirms another one.
+        """
+        # Hashed, not added: sums of seed and place would give two trials one stream.
+        return int(np.random.SeedSequence([self.seed, self.n_train, place, use]).generate_state(1)[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the declaration as JSON values."""
+        return plain(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declaration(StudyDeclaration):
     """One Optuna study: the surrogate of one case for one training-set size.
 
     Args:
-        label: what the user calls the case and profile; MLflow's experiment.
         n_train: rows of the training design that are used (failed simulations among them are left out).
         case_name: name of the case.
         surrogate: named form of the surrogate: "state-space", "refined", "paper" or "pca-gp".
         settings: settings of the surrogate that every trial shares.
         forms: where the decoder is searched, the settings that trials with each decoder share.
         search: search space, as JSON values by hyperparameter.
-        sampler: Optuna's sampler: its name and arguments.
-        pruner: the pruner: its name and arguments.
-        seed: every random draw of the study derives from it and the training-set size.
         parameter_names: physical parameters, in the order of the sets' columns. Length p.
         lower: their lower bounds. Length p.
         upper: their upper bounds. Length p.
@@ -61,27 +158,20 @@ class Declaration:
         files: place of the training, validation and test set, relative to the project; and of what drives the
             model ("drive"), where a decoder needs it.
         digests: SHA-256 of case, FMU, the three sets, and of what drives the model.
-        enqueue: configurations that are tried first.
         device: where the surrogate is trained; decides no trial.
-        max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
         is_baseline: whether it is the PCA + GP that is fitted for comparison.
         is_confirmation: whether its trials train configurations of another study with further seeds.
-        note: shown where the numbers are shown.
-        project: identity of the project whose study it is in a database that others share; else empty.
         folds: parts of the training rows that judge in turn; 0 where a validation and a test set do.
     """
 
-    __pydantic_config__ = STRICT
+    step_word: ClassVar[str] = "epoch"
+    is_curve: ClassVar[bool] = False
 
-    label: str
     n_train: int
     case_name: str
     surrogate: str
     settings: dict[str, Any]
     search: dict[str, dict[str, Any]]
-    sampler: dict[str, Any]
-    pruner: dict[str, Any]
-    seed: int
     parameter_names: tuple[str, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -91,14 +181,10 @@ class Declaration:
     output_scales: tuple[float, ...]
     files: dict[str, str]
     digests: dict[str, str]
-    enqueue: tuple[dict[str, Any], ...] = ()
     forms: dict[str, dict[str, Any]] = field(default_factory=dict)
     device: str = "auto"
-    max_trial_s: float | None = None
     is_baseline: bool = False
     is_confirmation: bool = False
-    note: str = ""
-    project: str = ""
     folds: int = 0
 
     @cached_property
@@ -132,6 +218,35 @@ class Declaration:
     def role(self) -> Literal["trial", "baseline trial", "confirmation"]:
         """What its trials are called in MLflow: the least error of all trials is no baseline's."""
         return "confirmation" if self.is_confirmation else "baseline trial" if self.is_baseline else "trial"
+
+    @property
+    def study_role(self) -> str:
+        """What its own run is called in MLflow."""
+        return f"{'baseline ' if self.is_baseline else 'confirmation ' if self.is_confirmation else ''}study"
+
+    @property
+    def seed_use(self) -> int:
+        """Other seeds where another study is confirmed."""
+        return 2 if self.is_confirmation else 1
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Name of the error that chooses, as in MLflow."""
+        return (f"{self.chosen_by}/mae",)
+
+    def results_of(
+        self, state: str, values: Sequence[float] | None, attrs: Mapping[str, Any]
+    ) -> dict[str, float]:
+        """Return a trial's errors by name, as `val/mae` and `test/p90`; with cross-validation as `cv/mae`.
+
+        There are none unless it is complete or pruned. A pruned trial has no `val/mae`, so that the least one
+        is a complete trial's; the others are those of its best epoch.
+        """
+        if state not in ("complete", "pruned") or not values:
+            return {}
+        errors = {name: float(v) for name, v in attrs.items() if name.startswith(_ERRORS)}
+        chosen_by = CROSS_VALIDATED if f"{CROSS_VALIDATED}/p90" in errors else "val"
+        return {f"{chosen_by}/mae": float(values[0]), **errors} if state == "complete" else errors
 
     @property
     def confirmation(self) -> "Declaration":
@@ -226,16 +341,6 @@ class Declaration:
             return self.base_config
         return SurrogateConfig.from_dict(self.forms[decoder] | {"device": self.device, "n_threads": 1})
 
-    def trial_seed(self, place: int, use: int) -> int:
-        """Return the seed of a trial.
-
-        Args:
-            place: the trial's place in the study; a retry has that of the trial it repeats.
-            use: 0 for the sampler, 1 for the training, 2 for a training that confirms another one.
-        """
-        # Hashed, not added: sums of seed and place would give two trials one stream.
-        return int(np.random.SeedSequence([self.seed, self.n_train, place, use]).generate_state(1)[0])
-
     def file(self, paths: ProjectPaths, name: str) -> Path:
         """Return where a set lies.
 
@@ -247,7 +352,3 @@ class Declaration:
         if not file.is_relative_to(paths.root.resolve()):
             raise InputError(f"study {self.name!r}: {self.files[name]!r} lies outside the project")
         return file
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the declaration as JSON values."""
-        return plain(self)

@@ -9,11 +9,10 @@ from typing import Any
 
 from pelsvae.config import SurrogateConfig
 from studies.results.best_mean import BestMean, MeanPart, in_words
-from studies.results.declaration import CROSS_VALIDATED, Declaration
+from studies.results.declaration import Declaration
 from studies.results.stage_results import TunedSize
 from studies.words.wording import difference_unit
 
-_ERRORS = ("val/", "test/", f"{CROSS_VALIDATED}/")
 STATES = ("complete", "pruned", "failed", "running", "waiting")
 
 
@@ -27,7 +26,7 @@ class TrialView:
         state: "complete", "pruned", "failed", "running" or "waiting".
         params: its hyperparameters.
         value: validation MAE; of a trial that is not complete the last one reported. [output's unit]
-        metrics: errors by name, see `errors_of`. [output's unit]
+        metrics: errors by name, see `Declaration.results_of`. [output's unit]
         run_id: MLflow's run, empty without one.
         proposed_by: "default", "profile", "start-up" or the sampler's name.
         wall_s: duration of the training. [s]
@@ -313,23 +312,3 @@ def joined(studies: Sequence[TunedStudy]) -> TunedStudy:
         versions={run: version for one in studies for run, version in one.versions.items()},
         mean=next((one.mean for one in (last, *reversed(others)) if one.mean is not None), None),
     )
-
-
-def errors_of(state: str, value: float | None, attrs: Mapping[str, Any]) -> dict[str, float]:
-    """Return a trial's errors by name, as `val/mae` and `test/p90`; none unless it is complete or pruned.
-
-    A pruned trial has no `val/mae`, so that the least one is a complete trial's; the others are those of its
-    best epoch.
-
-    With cross-validation they are `cv/mae` and `cv/p90`.
-
-    Args:
-        state: its state, as in `TrialView`.
-        value: its value, the MAE that chooses. [output's unit]
-        attrs: attributes that its worker gave it.
-    """
-    if state not in ("complete", "pruned") or value is None:
-        return {}
-    errors = {name: float(v) for name, v in attrs.items() if name.startswith(_ERRORS)}
-    chosen_by = CROSS_VALIDATED if f"{CROSS_VALIDATED}/p90" in errors else "val"
-    return {f"{chosen_by}/mae": float(value), **errors} if state == "complete" else errors

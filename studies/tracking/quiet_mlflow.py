@@ -18,7 +18,7 @@ with environment_restored(), warnings.catch_warnings():
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow is imported
     warnings.simplefilter("ignore")
     import mlflow
-    from mlflow import entities
+    from mlflow import MlflowException, entities
     from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
     from mlflow.store.artifact.local_artifact_repo import LocalArtifactRepository
 
@@ -31,6 +31,7 @@ hush("psycopg", logging.ERROR)
 
 __all__ = [
     "LocalArtifactRepository",
+    "MlflowException",
     "connect",
     "entities",
     "get_artifact_repository",

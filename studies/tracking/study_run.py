@@ -12,7 +12,7 @@ import optuna
 from simulation.errors import MachineError
 from studies.reporting.drawing import write_picture
 from studies.reporting.figures_tuning import study_figure
-from studies.results.declaration import Declaration
+from studies.results.declaration import Declaration, StudyDeclaration
 from studies.tracking.leaderboard import GAIN, JUDGED_BY, SEARCHED, set_views
 from studies.tracking.quiet_mlflow import entities
 from studies.tracking.runs import CURVE, SURROGATE, VALIDATION_MAE, RunStore, register_best
@@ -31,25 +31,25 @@ BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
 
 
-def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None) -> str:
+def open_study_run(runs: RunStore, spec: StudyDeclaration, n_trials: int, run_id: str | None) -> str:
     """Open the run of a study, a new one or the one it has, and return its id."""
     runs.experiment(spec.label)  # one that was deleted is restored, and its runs with it
     if run_id is not None and runs.is_there(run_id):
         runs.open_again(run_id)
         return run_id
-    kind = "baseline " if spec.is_baseline else "confirmation " if spec.is_confirmation else ""
-    role = f"{kind}study"
-    tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
-    tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
-    set_views(runs, spec.label, spec.search, spec.judged_by)
+    tags = {"role": spec.study_role, "study": spec.name, **spec.about}
+    params = {**spec.about, "n_trials": n_trials, "seed": spec.seed}
+    if isinstance(spec, Declaration):
+        tags |= {"surrogate": spec.surrogate, "case": spec.case_name, "case_sha256": spec.digests["case"]}
+        params |= {JUDGED_BY: spec.judged_by}
+        params |= {f"{SEARCHED}{name}": one for name, one in spec.search.items()}
+        set_views(runs, spec.label, spec.search, spec.judged_by)
     made = runs.begin(spec.label, f"{spec.size} study", tags)
-    params = {"n_train": spec.n_train, "n_trials": n_trials, "seed": spec.seed, JUDGED_BY: spec.judged_by}
-    params |= {"sampler": spec.sampler["name"], "pruner": spec.pruner["name"]}
-    runs.log(made, params=params | {f"{SEARCHED}{name}": one for name, one in spec.search.items()})
+    runs.log(made, params=params | {"sampler": spec.sampler["name"], "pruner": spec.pruner["name"]})
     return made
 
 
-def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
+def end_left_runs(runs: RunStore, study: optuna.Study, spec: StudyDeclaration) -> None:
     """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
     left = runs.find(spec.label, {"role": spec.role, "study": spec.name}, status="RUNNING")
     trials = study.get_trials(deepcopy=False)  # later than the runs, so that each run has its trial
@@ -59,7 +59,7 @@ def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> Non
         if trial is None or trial.user_attrs.get("mlflow_run_id") not in (None, run.info.run_id):
             runs.end(run.info.run_id, "KILLED")
         elif trial.state.is_finished():
-            end_run(runs, run.info.run_id, trial)
+            end_run(runs, run.info.run_id, trial, spec)
 
 
 def without_deleted(runs: RunStore, found: "TunedStudy") -> "tuple[TunedStudy, str]":

@@ -10,21 +10,24 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import optuna
 import psutil
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
+from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.config import SurrogateConfig
 from simulation.errors import InputError
-from studies.results.declaration import Declaration
+from studies.results.declaration import Declaration, StudyDeclaration
+from studies.results.objective import ObjectiveDeclaration
 from studies.results.saved import rebuilt
 
 if TYPE_CHECKING:
     from optuna.study._frozen import FrozenStudy
 
+D = TypeVar("D", bound=StudyDeclaration)
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 RUN_ID, OWNER = "mlflow_run_id", "owner"
@@ -44,6 +47,8 @@ MEAN = "mean"
 """Attribute of a study: the best mean of its surrogates."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
+CONSTRAINTS = "constraints"
+"""Begins the names under which Optuna keeps them; the first value that a trial sets counts."""
 _SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile
 
 
@@ -57,7 +62,7 @@ def experimental() -> Iterator[None]:
 
 def make_study(
     storage: RDBStorage,
-    spec: Declaration,
+    spec: StudyDeclaration,
     *,
     n_trials: int,
     carried: Iterable[FrozenTrial] = (),
@@ -72,7 +77,11 @@ def make_study(
         carried: trials of earlier studies that are trials of this one, too; read where it is new.
         has_smaller: whether its last trial waits for the best configuration of a smaller size.
     """
-    study = optuna.create_study(storage=storage, study_name=spec.name, load_if_exists=True)
+    up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
+    directions = [up if name in spec.maximize else down for name in spec.value_names]
+    study = optuna.create_study(
+        storage=storage, study_name=spec.name, directions=directions, load_if_exists=True
+    )
     # The declared name has a digest of what decides; a device or a limit may still have changed.
     if study.user_attrs.get(DECLARATION) != spec.to_dict():
         study.set_user_attr(DECLARATION, spec.to_dict())
@@ -81,7 +90,7 @@ def make_study(
         study.set_user_attr(PLANNED, n_trials)
     with experimental():
         if study.metric_names is None:
-            study.set_metric_names([f"{spec.chosen_by}/mae"])  # as in MLflow
+            study.set_metric_names([*spec.value_names])  # as in MLflow
     trials = study.get_trials(deepcopy=False)
     is_new = all(CARRIED in one.user_attrs for one in trials)
     taken = {one.user_attrs[RUN_ID] for one in trials} if is_new else set()
@@ -91,7 +100,7 @@ def make_study(
     for place, params in enumerate(spec.first_points):
         # Without hyperparameters every trial equals this one, and Optuna would skip it.
         if is_new or place:
-            origin = "default" if place == 0 else "profile"
+            origin = "default" if place == 0 and isinstance(spec, Declaration) else "profile"
             study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
     is_held = has_smaller and n_begun(study.get_trials(deepcopy=False)) < n_trials
     if study.user_attrs.get(ALLOWED, n_trials) != (allowed := n_trials - is_held):
@@ -161,16 +170,30 @@ def is_owned(trial: FrozenTrial) -> bool:
     return isinstance(owner, dict) and owner.get("trial") == trial.number
 
 
-def declaration_of(study: "optuna.Study | FrozenStudy") -> Declaration:
+def declaration_of(study: "optuna.Study | FrozenStudy", kind: type[D] = Declaration) -> D:
     """Return what a study was declared with.
 
+    Args:
+        study: the study.
+        kind: what its trials do.
+
     Raises:
-        InputError: it was made by another program or version.
+        InputError: it was made by another program or version, or its trials do something else.
     """
     declared = study.user_attrs.get(DECLARATION)
     if not isinstance(declared, dict):
         raise InputError(f"the Optuna study {study.study_name!r} was not made by this program")
-    return rebuilt(Declaration, declared, f"the Optuna study {study.study_name!r}")
+    if is_of_objective(declared) != (kind is ObjectiveDeclaration):
+        raise InputError(
+            f"the trials of {study.study_name!r} are not of this kind; those of a function need "
+            f"studies tune --objective MODULE:FUNCTION --name {declared.get('label')}"
+        )
+    return rebuilt(kind, declared, f"the Optuna study {study.study_name!r}")
+
+
+def is_of_objective(declared: Any) -> bool:
+    """Say whether a declaration is of a user's objective, and not of a surrogate."""
+    return isinstance(declared, dict) and "values" in declared
 
 
 def first_number(trial: FrozenTrial) -> int:
@@ -213,6 +236,8 @@ def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
     if SEED not in trial.user_attrs:
         # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
         trial.distributions, trial.params = {}, {}
+        for name in [one for one in trial.system_attrs if one.startswith(CONSTRAINTS)]:
+            del trial.system_attrs[name]
     # Optuna's own callback: what other programs read of retries then holds here too.
     with experimental():
         RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import tempfile
@@ -9,6 +10,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import forkserver
+from pathlib import Path
 from types import ModuleType
 
 from simulation.pool.fork_server import ONE_THREAD
@@ -35,17 +37,27 @@ class ForkedWorker:
         names: names of the studies.
         until_s: no trial begins after this moment of `time.monotonic`. [s]
         n_threads: folds of a cross-validation that it trains at once.
+        objective: what the trials do, pickled by cloudpickle in this command; None where they train
+            surrogates.
 
     Attributes:
         process: the process; it exits with 2 where a study cannot be used.
     """
 
     def __init__(
-        self, paths: ProjectPaths, names: Sequence[str], until_s: float | None, n_threads: int
+        self,
+        paths: ProjectPaths,
+        names: Sequence[str],
+        until_s: float | None,
+        n_threads: int,
+        objective: bytes | None = None,
     ) -> None:
         # A file and no pipe: a full pipe would stop the worker until it is read.
         self._said = tempfile.NamedTemporaryFile()  # noqa: SIM115 (closed with its worker)
-        given = (paths, names, until_s, n_threads, self._said.name, dict(os.environ))
+        # An objective finds its modules and files as in this command.
+        folder = paths.root if objective is None else Path.cwd()
+        from_here = (self._said.name, dict(os.environ), folder, [*sys.path], objective)
+        given = (paths, names, until_s, n_threads, *from_here)
         self.process = _FORKED.Process(target=_work, args=given, daemon=True)
         with _fork_server():
             self.process.start()
@@ -90,6 +102,9 @@ def _work(
     n_threads: int,
     messages: str,
     environment: dict[str, str],
+    folder: Path,
+    path: list[str],
+    objective: bytes | None,
 ) -> None:
     """Be a worker: print into a file, and exit with 2 where a study cannot be used."""
     from studies.tuning.worker import run_studies  # imported before the fork, and not in the command itself
@@ -98,11 +113,15 @@ def _work(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.clear()
     os.environ.update(environment)
-    os.chdir(paths.root)
+    os.chdir(folder)
     with open(messages, "wb") as file:  # noqa: PTH123 (by the descriptor)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(file.fileno(), stream.fileno())
-    sys.exit(run_studies(paths, names, until_s, n_threads))
+    given = None
+    if objective is not None:
+        sys.path[:] = path
+        given = pickle.loads(objective)
+    sys.exit(run_studies(paths, names, until_s, n_threads, given))
 
 
 def _end_with_command() -> None:

@@ -15,7 +15,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted
-from studies.results.declaration import Declaration
+from studies.results.declaration import StudyDeclaration
 from studies.tuning.attempts import experimental
 
 _Made = TypeVar("_Made")
@@ -95,7 +95,7 @@ def _installed(kind: str, name: str, base: type[_Made]) -> type[_Made]:
     return found
 
 
-def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:
+def sampler_of_place(spec: StudyDeclaration, place: int) -> BaseSampler:
     """Return the sampler of one trial, seeded by the study's seed and the trial's place.
 
     So a study that was interrupted, or whose worker died, goes on as the undisturbed one would have.

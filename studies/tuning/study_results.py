@@ -16,7 +16,7 @@ from studies.paths import ProjectPaths
 from studies.results.best_mean import BestMean
 from studies.results.declaration import Declaration
 from studies.results.saved import rebuilt
-from studies.results.trials import TrialView, TunedStudy, errors_of, joined
+from studies.results.trials import TrialView, TunedStudy, joined
 from studies.search_space import SearchSpace
 from studies.tuning import attempts
 from studies.tuning.storage import storage_of
@@ -67,11 +67,13 @@ def read_studies(
     if paths.storage is None and not paths.optuna_database.is_file():
         return []
     found = []
-    with storage_of(paths) as storage, _readable(paths):
+    with storage_of(paths) as storage, readable(paths):
         for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
             declared = study.user_attrs.get(attempts.DECLARATION)
             # The label first: to read a study means to read all its trials.
             if not isinstance(declared, dict) or label not in (None, declared.get("label")):
+                continue
+            if attempts.is_of_objective(declared):
                 continue
             if n_train not in (None, declared.get("n_train")):
                 continue
@@ -83,7 +85,7 @@ def read_studies(
 
 
 @contextmanager
-def _readable(paths: ProjectPaths) -> Iterator[None]:
+def readable(paths: ProjectPaths) -> Iterator[None]:
     """Say in a line that studies cannot be read: what a stranger wrote reaches all of Optuna."""
     try:
         yield
@@ -155,7 +157,7 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         if spec.is_confirmation
         else dict(trial.params),
         value=value,
-        metrics=errors_of(state, trial.value, trial.user_attrs),
+        metrics=spec.results_of(state, trial.values, trial.user_attrs),
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),
         proposed_by=str(trial.user_attrs.get("proposed_by", usual)),
         wall_s=_bounded(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),

@@ -1,9 +1,7 @@
 """Tune the surrogates of several training-set sizes side by side, in worker processes."""
 
 import logging
-import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,27 +9,19 @@ import optuna
 from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial
 
-from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.profile import Confirmation
 from studies.results.declaration import Declaration
 from studies.results.saved import plain
 from studies.results.trials import TunedStudy, joined
-from studies.task import StageError
 from studies.tracking.runs import RunStore
 from studies.tracking.sending import begin_sending
-from studies.tracking.study_run import (
-    close_study,
-    end_left_runs,
-    open_study_run,
-    promote,
-    without_deleted,
-)
+from studies.tracking.study_run import close_study, promote, without_deleted
 from studies.tuning import attempts
 from studies.tuning.carried import carried_trials
 from studies.tuning.confirmations import to_confirm
-from studies.tuning.forked_worker import ForkedWorker
 from studies.tuning.means import best_mean
+from studies.tuning.side_by_side import Group, Part, opened_run, work_on
 from studies.tuning.storage import storage_of, study_locked
 from studies.tuning.study_results import joined_studies, latest_studies, read_studies
 from studies.words.wording import setting, significant
@@ -39,49 +29,21 @@ from studies.words.wording import setting, significant
 _LOG = logging.getLogger(__name__)
 OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
 OnLine = Callable[[str], None]
-POLL_S = 0.5
-MAX_DEATHS = 3
-"""Deaths of a worker in a row that brought no trial to its end."""
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A study on its way, and its run in MLflow."""
+class _Part(Part):
+    """A study of surrogates on its way."""
 
     spec: Declaration
-    study: optuna.Study
-    run_id: str
-    storage: RDBStorage
-    paths: ProjectPaths
-    runs: RunStore
     provenance: Mapping[str, Any] | None
     smaller: int | None = None
-
-    @property
-    def trials(self) -> list[FrozenTrial]:
-        return self.study.get_trials(deepcopy=False)
-
-    @property
-    def is_unfinished(self) -> bool:
-        """Whether a worker would find a trial to begin; how many are planned the latest command decides."""
-        return attempts.is_unfinished(self.trials, attempts.n_allowed(self.study))
-
-    @property
-    def is_held(self) -> bool:
-        """Whether its last trial waits for the next smaller size."""
-        return attempts.n_allowed(self.study) < int(self.study.user_attrs.get(attempts.PLANNED, 0))
 
     @property
     def found(self) -> TunedStudy:
         """All studies whose errors compare with this one's."""
         every = read_studies(self.paths, label=self.spec.label, n_train=self.spec.n_train)
         return joined([one for one in every if one.spec.has_equal_data(self.spec)])
-
-    def give_back(self) -> None:
-        """Let the trials of dead workers be run again, and end the runs that they left open."""
-        with study_locked(self.storage, self.paths, self.spec.name):
-            attempts.retry_lost(self.study)
-        end_left_runs(self.runs, self.study, self.spec)
 
     @property
     def is_tuned(self) -> bool:
@@ -170,23 +132,16 @@ def _opened(
         study = attempts.make_study(
             storage, spec, n_trials=n_planned, carried=carried, has_smaller=has_smaller
         )
-    run_id = open_study_run(runs, spec, n_planned, study.user_attrs.get(attempts.RUN_ID))
-    for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
-        if value and study.user_attrs.get(name) != value:
-            study.set_user_attr(name, value)
+    run_id = opened_run(study, runs, spec, n_planned, provenance)
     part = _Part(spec, study, run_id, storage, paths, runs, provenance, smaller)
     part.give_back()
     return part
 
 
 @dataclass
-class _Size:
-    """The studies of one training-set size, which share workers: a worker's start costs seconds."""
+class _Size(Group[_Part]):
+    """The studies of one training-set size."""
 
-    parts: list[_Part]
-    workers: list[ForkedWorker] = field(default_factory=list)
-    n_deaths: int = 0
-    n_ended: int = 0
     results: dict[str, TunedStudy] = field(default_factory=dict)
     is_confirmed: bool = False
 
@@ -198,11 +153,6 @@ class _Size:
             ]
         self.is_confirmed = True
 
-    @property
-    def is_held(self) -> bool:
-        """Whether a last trial waits for the next smaller size."""
-        return any(part.is_held for part in self.parts)
-
     def begin_last(self, sizes: "Mapping[int, _Size]") -> None:
         """Let the last trial begin where trials of the next smaller size have ended; it tries their best."""
         for part in self.parts:
@@ -211,55 +161,6 @@ class _Size:
             below = sizes[part.smaller]
             if not below.workers and not below.is_held and not any(one.is_unfinished for one in below.parts):
                 part.begin_last(next(one for one in below.parts if one.is_tuned).found)
-
-    def is_waiting(self, n_parallel: int) -> bool:
-        """Whether one of at most `n_parallel` workers could begin a trial."""
-        is_full = len(self.workers) >= n_parallel
-        return not is_full and any(part.is_unfinished for part in self.parts)
-
-    def look_after_workers(self) -> None:
-        """See which workers have ended, and why.
-
-        Raises:
-            InputError: a worker found the study unusable.
-            StageError: a worker failed, or died again and again before it ended a trial.
-        """
-        for worker in [one for one in self.workers if one.process.exitcode is not None]:
-            self.workers.remove(worker)
-            code, said = worker.process.exitcode, worker.last_line()
-            assert code is not None, "it has ended"
-            if code == 0:
-                continue
-            # Before anything is raised: the trial of the dead worker waits again whatever follows.
-            for part in self.parts:
-                part.give_back()
-            name = self.parts[0].spec.name
-            # As every command: bad input ends with 2, a fault of the machine with 1, a signal below 0.
-            if code == 2:
-                raise InputError(said)
-            if code > 0:
-                raise StageError(f"tune: a worker of {name} failed: {said}")
-            n_ended = sum(trial.state.is_finished() for part in self.parts for trial in part.trials)
-            self.n_deaths = self.n_deaths + 1 if n_ended <= self.n_ended else 1
-            self.n_ended = n_ended
-            if self.n_deaths > MAX_DEATHS:
-                raise StageError(
-                    f"tune: a worker of {name} was killed by signal {-code} "
-                    f"{self.n_deaths} times before it ended a trial ({said})"
-                )
-
-    def stop(self) -> None:
-        """Stop the workers and give their trials back."""
-        for worker in self.workers:
-            # All are killed before the first is waited for.
-            worker.process.kill()
-        for worker in self.workers:
-            worker.join()
-        # What cannot be done now, as where the storage is away, the next command does.
-        with suppress(Exception):
-            for part in self.parts:
-                part.give_back()
-                part.runs.end(part.run_id, "KILLED")
 
 
 def _carried_words(n_train: int, n_carried: int, n_planned: int) -> str:
@@ -327,44 +228,29 @@ def tune(
             if n_carried := sum(attempts.CARRIED in one.user_attrs for one in part.trials):
                 on_news(_carried_words(spec.n_train, n_carried, planned))
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
-        n_threads = max(n_jobs // (n_parallel * len(sizes)), 1)
-        # Begun last, the longest trainings would run alone at the end.
-        largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
-        try:
-            while True:
-                for size in largest_first:
-                    size.look_after_workers()
-                is_late = until_s is not None and time.monotonic() >= until_s
-                n_free = n_jobs - sum(len(one.workers) for one in largest_first)
-                # Trials are read where a worker may begin: to read them takes time from those that train.
-                may_begin = bool(n_free) and not is_late
-                for size in largest_first if may_begin else []:
-                    size.begin_last(sizes)
-                    if not (size.workers or size.is_held or size.is_waiting(n_parallel)):
-                        size.confirm(confirm)
-                waiting = [size for size in largest_first if may_begin and size.is_waiting(n_parallel)]
-                for size in waiting:
-                    names = [part.spec.name for part in size.parts if part.is_unfinished]
-                    for _ in range(min(n_free, n_parallel - len(size.workers))):
-                        size.workers.append(ForkedWorker(paths, names, until_s, n_threads))
-                        n_free -= 1
-                busy = [size for size in largest_first if size.workers]
-                for part in (part for size in busy for part in size.parts):
-                    on_trials(part.spec, part.trials)
-                for size in largest_first if may_begin or is_late else []:
-                    is_over = not (size.workers or size in waiting or (size.is_held and not is_late))
-                    if is_over and not size.results:
-                        size.results = {
-                            part.spec.name: part.close(on_warning, on_news) for part in size.parts
-                        }
-                if not busy and not waiting:
-                    break
-                time.sleep(POLL_S)
-        # Ctrl-C as well: no worker outlives the command.
-        except BaseException:
-            for size in largest_first:
-                size.stop()
-            raise
+
+        def prepare(size: _Size) -> None:
+            size.begin_last(sizes)
+            if not (size.workers or size.is_held or size.is_waiting(n_parallel)):
+                size.confirm(confirm)
+
+        def show(size: _Size) -> None:
+            for part in size.parts:
+                on_trials(part.spec, part.trials)
+
+        def close(size: _Size) -> None:
+            size.results = {part.spec.name: part.close(on_warning, on_news) for part in size.parts}
+
+        work_on(
+            # Begun last, the longest trainings would run alone at the end.
+            [sizes[n] for n in sorted(sizes, reverse=True)],
+            n_jobs=n_jobs,
+            n_parallel=n_parallel,
+            until_s=until_s,
+            on_free=prepare,
+            on_poll=show,
+            on_over=close,
+        )
         runs.describe(specs[0].label, BEST_OF_SIZES, _best_of_sizes(paths, specs[0]), specs[0].note)
         return [sizes[spec.n_train].results[spec.name] for spec in specs]
 

@@ -81,7 +81,7 @@ def test_an_interruption_changes_no_confirmation(
 ) -> None:
     spec = tuned_study(16)
     # A training of the toy may take less than the usual pause.
-    monkeypatch.setattr("studies.tuning.tune_studies.POLL_S", 0.02)
+    monkeypatch.setattr("studies.tuning.side_by_side.POLL_S", 0.02)
 
     def interrupt(of: Declaration, trials: Sequence[FrozenTrial]) -> None:
         if of.is_confirmation and any(one.state.name != "WAITING" for one in trials):
