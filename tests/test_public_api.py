@@ -26,8 +26,9 @@ PUBLIC = {
     "studies": COMMANDS | {
         "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ChoiceResult",
         "ComparisonResult", "Console", "InputError", "LeastSquaresTRF", "Measurement", "NextResult",
-        "PredictionResult", "Problem", "ProjectResult", "ReportResult", "ReproductionResult", "RunResult",
-        "SensitivityResult", "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
+        "ObjectiveResult", "PredictionResult", "Problem", "ProjectResult", "ReportResult",
+        "ReproductionResult", "RunResult", "SensitivityResult", "SimulationResult", "StageError",
+        "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
     },
 }  # fmt: skip
 
