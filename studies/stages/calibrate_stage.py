@@ -31,7 +31,7 @@ from studies.stages.pipeline import Stage
 from studies.stages.simulate_stage import train_design
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
-from studies.stages.warm_start import ChooseRows, StartRows, WarmStart, Worth, stored_in_box
+from studies.stages.warm_start import ChooseRows, StartRows, WarmStart, Worth
 from studies.surrogate_model import SurrogateModel
 from studies.task import Task
 from studies.tracking.runs import load_surrogate, run_store
@@ -127,9 +127,7 @@ def calibrate_stage(task: Task, n_train: int, *, again: bool = False) -> Outcome
     if profile.is_budgeted:
         # All that is stored is paid for: training rows, those of smaller sizes, and of other commands.
         files = [stage.file.with_name(f"{stage.name}-rows.npz")]
-        start = WarmStart(
-            files[0], digest_of(inputs), chosen_rows, stored_in_box, anew=again and stage.is_anew
-        )
+        start = WarmStart(files[0], digest_of(inputs), chosen_rows, anew=again and stage.is_anew)
     return stage.once(
         lambda: calibrate(task, best_surrogate(task, n_train), n_train, origin, start),
         again=again,

@@ -35,7 +35,7 @@ from studies.stages.judged_model import judged_model
 from studies.stages.knowledge import case_inputs, sensor_inputs
 from studies.stages.pipeline import Stage
 from studies.stages.stage_runs import log_uncertainty
-from studies.stages.warm_start import WarmStart, stored_in_box
+from studies.stages.warm_start import WarmStart
 from studies.task import StageError, Task
 from studies.words.wording import count, listed
 
@@ -113,9 +113,7 @@ def uncertainty_stage(
     what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
     what += duration(task, max_calls)
     stage = Stage(task, f"uncertainty-{name}", what, inputs, Uncertainty, {"kind": "uncertainty"})
-    start = WarmStart(
-        stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows, stored_in_box
-    )
+    start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
     return stage.once(
         lambda: _judge(task, calibration, start, noise, max_calls),
         again=again,

@@ -43,6 +43,12 @@ ChooseRows = Callable[[StoredModel, CalibrationProblem, Worth], StartRows]
 """Which rows a stage starts from, of all that a model has stored."""
 
 
+def stored_in_box(physical: StoredModel) -> FloatArray:
+    """Return the stored rows within the bounds. Shape (n, p). [per parameter]."""
+    theta = physical.store.theta
+    return theta[physical.parameter_space.contains(theta)]
+
+
 @dataclass(frozen=True)
 class WarmStart:
     """Chooses the stored rows to start from when a stage first begins, and notes them.
@@ -58,7 +64,7 @@ class WarmStart:
     file: Path
     digest: str
     choose: Callable[[FloatArray, FloatArray], IntArray]
-    rows: Callable[[StoredModel], FloatArray]
+    rows: Callable[[StoredModel], FloatArray] = stored_in_box
     anew: bool = False
 
     def __call__(self, physical: StoredModel, problem: CalibrationProblem, worth: Worth) -> StartRows:
@@ -94,12 +100,6 @@ class WarmStart:
         rows = StartRows(kept["theta"], kept["watched"])
         is_whole = physical.store.find(rows.theta).all() and physical.watched(rows.theta[rows.watched]).all()
         return rows if is_whole else None
-
-
-def stored_in_box(physical: StoredModel) -> FloatArray:
-    """Return the stored rows within the bounds. Shape (n, p). [per parameter]."""
-    theta = physical.store.theta
-    return theta[physical.parameter_space.contains(theta)]
 
 
 def checked_in_box(paths: ProjectPaths, case: Case) -> Callable[[StoredModel], FloatArray]:
