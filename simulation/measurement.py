@@ -313,7 +313,8 @@ class Measurement:
         Returns:
             Shape (n,). [first output's unit squared]
         """
-        mse = np.mean(self.compared(y) ** 2, axis=1)
+        with np.errstate(over="ignore"):  # of a simulation that diverges
+            mse = np.mean(self.compared(y) ** 2, axis=1)
         return np.where(np.isfinite(mse), mse, np.inf)
 
     @property

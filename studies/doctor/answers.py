@@ -31,6 +31,8 @@ STEP_SHARE = 0.2
 """Halving the communication step may change the output by this share of the sensor's uncertainty."""
 INPUT_SHARE = 0.1
 """A constant input is changed by this share of its size."""
+DIVERGED = 1e4
+"""A difference of so many times the measured span is no fit: the simulation diverges, or a unit is wrong."""
 EVEN = 1e-3
 """An input that differs by this share of its range from its reverse is the same in reverse."""
 _REMEDIES = {
@@ -82,7 +84,11 @@ def look_at_estimates(case: Case, nominal: Trajectories, n_points: int = 0) -> I
     unit = square_of(case.outputs[0].unit)
     error = f"{case.measurement.error_name} {quantity(mse, unit, 4)}"
     which = f"none for some parameters; at the best of {count(n_points, 'point')}: " if n_points else ""
-    yield finding("estimates", "ok", which=which, error=error, ranges=", ".join(ranges))
+    values = {"which": which, "error": error, "ranges": ", ".join(ranges)}
+    if _diverges(case, nominal.y):
+        yield finding("estimates-diverge", "warn", **values, other=_other_interface(case))
+    else:
+        yield finding("estimates", "ok", **values)
     yield from named("outputs-still", [one.name for one, y in series if np.ptp(y) <= SAME])
     if not case.scenario.n_warmup:
         yield from named("first-values", [one.name for one, y in series if _jumps(one.uncertainty, y)])
@@ -229,7 +235,23 @@ def look_at_halving(case: Case, halved: Case, nominal: Trajectories, answer: Tra
     worst = int(np.argmax(shares))
     output, share = case.outputs[worst], shares[worst]
     values = {"output": output.name, "change": change[worst], "unit": with_unit(output.unit), "share": share}
-    return finding("half-step", "ok" if share <= STEP_SHARE else "warn", step_s=step_s, **values)
+    level: Level = "ok" if share <= STEP_SHARE else "warn"
+    return finding("half-step", level, step_s=step_s, other=_other_interface(case), **values)
+
+
+def _diverges(case: Case, y: FloatArray) -> bool:
+    """Say whether a measured output is out of all proportion to what was measured. y of shape (1, t, k)."""
+    for k in case.measurement.measured:
+        span = np.ptp(case.outputs[k].samples.values) + case.outputs[k].uncertainty
+        if np.abs(case.measurement.differences(y, k)).max() > DIVERGED * span:
+            return True
+    return False
+
+
+def _other_interface(case: Case) -> str:
+    """Return the advice to let a solver of ours step an FMU whose own solver is too coarse."""
+    is_coarse = case.interface == "co-simulation" and "model-exchange" in case.fmu.interfaces
+    return ', or write interface = "model-exchange"' * is_coarse
 
 
 def changed_input(values: FloatArray, variable: FmuVariable) -> FloatArray:

@@ -72,10 +72,11 @@ class Fit:
         found = [
             (measurement.differences(y, k) / measurement.outputs[k].uncertainty) for k in measurement.measured
         ]
-        return cls(
-            np.column_stack([np.mean(one**2, axis=1) for one in found]),
-            np.column_stack([np.var(one, axis=1) for one in found]),
-        )
+        with np.errstate(over="ignore"):  # of a simulation that diverges
+            return cls(
+                np.column_stack([np.mean(one**2, axis=1) for one in found]),
+                np.column_stack([np.var(one, axis=1) for one in found]),
+            )
 
     def of_rows(self, kind: str, columns: list[int]) -> FloatArray:
         """Return how each row fits in some outputs. Shape (n,). [uncertainties squared]."""

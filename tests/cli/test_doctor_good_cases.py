@@ -19,7 +19,7 @@ from simulation.pool.execution import FIRST_LIMIT_S, ExecutionPolicy
 from simulation.samples import Samples
 from simulation.trajectories import Trajectories
 from studies.doctor import Diagnosis, examine
-from studies.doctor.answers import N_COVERAGE, coverage_points, look_at_coverage
+from studies.doctor.answers import N_COVERAGE, coverage_points, look_at_coverage, look_at_estimates
 from studies.doctor.asking import Asked
 from studies.doctor.budget import TimeBudget
 from studies.doctor.declared import look_at_data, look_at_declaration, look_at_number_of_values
@@ -306,3 +306,16 @@ def test_the_sign_of_a_measured_column_is_named() -> None:
     outputs = (air, replace(energy, samples=turned))
     wrong = replace(case, measurement=replace(case.measurement, outputs=outputs))
     assert [said for _, said in better_outputs(wrong, known)] == ["the sign of energy changed"]
+
+
+def test_a_simulation_that_diverges_is_no_good_estimate() -> None:
+    """An explicit solver inside an FMU of a mass and a spring ended at 1e13 mm, and that was called ok."""
+    case = load_case(Path(__file__).parents[2] / "fmus" / "wall")
+    names, time, outputs = case.parameter_space.names, case.measurement.time, case.measurement.output_names
+    near = np.tile([one.samples.values.mean() for one in case.outputs], (1, len(time), 1))
+    for y, level in ((near, "ok"), (near + 1e200, "warn")):
+        answer = Trajectories(np.ones((1, len(names))), y, time, names, outputs, ("",))
+        first = next(iter(look_at_estimates(case, answer)))
+        assert first.level == level
+    assert "diverges" in first.found
+    assert "lower communication_step_s" in first.remedy
