@@ -179,8 +179,8 @@ class InputTable(Table):
         unit: unit of the column.
         fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
         interpolation: between two samples: held (switches, setpoints), linear or smooth (weather).
-        mean_over_s: length of the interval that each sample is the mean over: it is held over that interval,
-            or smooth with the same mean; without it, a sample is the value of a moment.
+        mean_over_s: length of the interval that each sample is the mean over; without it, a sample is the
+            value of a moment. Held, it holds over its interval; smooth, the course has the same means.
         sum_over_s: the same of sums, as kWh of an hour for an input in W: `unit` is that of the sum.
         mean_stamp: what of the interval the time of a sample is: its end, begin or centre.
         max_gap_s: longest gap that is bridged; without it, a gap is an error.

@@ -77,6 +77,15 @@ class Samples:
             return None
         return float(np.mean(self.deviations**-2.0) ** -0.5)
 
+    def beside(self, time: FloatArray, simulated: FloatArray) -> FloatArray:
+        """Return the values as they stand beside a simulation: a counter begins where the simulation is then.
+
+        Args:
+            time: Output times. Shape (t,). [s]
+            simulated: The output. Shape (t,). [output's unit]
+        """
+        return self.values if self.since_s is None else self.values + np.interp(self.since_s, time, simulated)
+
     def taken(self, kept: BoolArray, interval: tuple[float, float]) -> "Samples":
         """Return some of them, of another interval [s] and without stamps. Mask of shape (m,)."""
         deviations = None if self.deviations is None else self.deviations[kept]

@@ -14,6 +14,12 @@ from simulation.errors import InputError
 from simulation.foreign_file import UNPACKED, check_members
 from simulation.foreign_text import quoted, shortened
 
+_OTHERS = {
+    b"\xd0\xcf\x11\xe0": "a workbook of an old form",
+    b"MATLAB 5.0": "a MATLAB file",
+    b"\x89HDF\r\n": "an HDF5 file",
+}
+"""Tables of other kinds, by how they begin."""
 _OF_SHEET = ".xlsx#"
 INSTALL = "pip install 'pelsvae-studies[excel]'"
 
@@ -53,8 +59,9 @@ def as_csv(
         return _written(_sheet_rows(content, path, sheet, {*time_names}, {*names}))
     if content.startswith(b"PAR1"):
         return _written(_parquet_rows(content))
-    if content.startswith(b"\xd0\xcf\x11\xe0"):
-        raise InputError("is a workbook of an old form; save it as .xlsx or its sheet as CSV")
+    for begin, what in _OTHERS.items():
+        if content.startswith(begin):
+            raise InputError(f"is {what}; save its table as CSV, .xlsx or Parquet")
     return None
 
 
@@ -119,8 +126,9 @@ def _parquet_rows(content: bytes) -> list[list[Any]]:
         frame = pd.read_parquet(io.BytesIO(content))
     except (ArrowException, OSError, ValueError) as error:
         raise InputError(f"is no readable Parquet file ({shortened(str(error))}); write it again") from None
-    if any(frame.index.names):
-        frame = frame.reset_index()
+    if not isinstance(frame.index, pd.RangeIndex):
+        # An index without a name is the time of a series.
+        frame = frame.reset_index(names=[str(name or "time") for name in frame.index.names])
     return [list(frame.columns), *frame.astype(object).to_numpy().tolist()]
 
 

@@ -26,7 +26,7 @@ from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
 LAST_REFERENCE = 2**32 - 1  # value references are unsigned 32-bit integers
 MOST_ELEMENTS = 1000
-"""Of an array that a case can use: longer ones are fields, which nobody names by element."""
+"""Of an array that a case can use: longer ones are fields, whose elements have no names of their own."""
 # Folders of binaries by FMI version: of this platform, of 64-bit Windows, of 32-bit Windows.
 PLATFORM_FOLDERS = {"2.0": fmpy.platform, "3.0": fmpy.platform_tuple}
 _WINDOWS = {"2.0": "win64", "3.0": "x86_64-windows"}

@@ -115,7 +115,9 @@ class CalibrationResult:
         every = np.unique(np.concatenate([at, *(output.samples.time for output in case.outputs)]))
         for k, output in enumerate(case.outputs):
             if output.is_measured:
-                series[output.name, "measured"] = pd.Series(output.samples.values, output.samples.time)
+                series[output.name, "measured"] = pd.Series(
+                    output.samples.beside(at, y[:, k]), output.samples.time
+                )
             series[output.name, "calibrated"] = pd.Series(np.interp(every, at, y[:, k]), every)
         return pd.DataFrame(series).rename_axis("time_s")
 

@@ -8,7 +8,10 @@ inputs.csv if the FMU has inputs. Check the lines marked EDIT, then type studies
 A PEtab problem (version 1 or 2) with an FMU as its model becomes a case as well: bounds, scales, nominal
 values, priors, noise, conditions and measurements are taken over. Its note says what PEtab's chi² is. The FMU
 has the names of the parameters, and outputs with the names or formulas of the observables. What a case cannot
-say is named in one line: estimated noise, logarithms of observables, steady states.
+say is named in one line: estimated scales, logarithms of observables, steady states.
+
+Values of an SSV file are the estimates of parameters that are calibrated; others are held under [fixed]. An
+SSP file with one FMU is read with the values that it gives to it.
 
 It overwrites nothing. To repeat it, remove the case file; what lies in data/<name>/ is kept. A pattern of
 --output that matches no output matches local variables.
@@ -18,6 +21,7 @@ Examples:
   studies new Room.fmu --list              show its variables and write nothing
   studies new Room.fmu --output TAir --parameter UWin 'wall.*'
   studies new Room.fmu --to ~/office/room  another folder, CSV files beside the case file
+  studies new Room.fmu --values room.ssv   start from values of another program
   studies new cells.yaml --fmu Cells.fmu   a PEtab problem; needs the extra petab
 """
 
@@ -32,8 +36,14 @@ from studies.words.console import Console
 from studies.words.wording import NATIVE_CODE
 
 OPTIONS = (
-    Option("fmu", type=Path, metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0; or a PEtab problem's .yaml"),
+    Option(
+        "fmu",
+        type=Path,
+        metavar="FMU",
+        help="an .fmu file, FMI 2.0 or 3.0; an .ssp with one; or a PEtab problem's .yaml",
+    ),
     Option("--fmu", dest="model", type=Path, metavar="FMU", help="the model of a PEtab problem"),
+    Option("--values", type=Path, metavar="SSV", help="an SSV file: estimates, and values under [fixed]"),
     Option("--to", type=Path, metavar="FOLDER", help="the case's folder; default: fmus/<name of the FMU>"),
     Option(
         "--output",
@@ -60,7 +70,7 @@ def _new_petab(chosen: argparse.Namespace, paths: ProjectPaths, console: Console
     from studies.api.petab_case import petab_case
     from studies.paths import mark_project
 
-    if chosen.model is None or chosen.list or chosen.output or chosen.parameter:
+    if chosen.model is None or chosen.list or chosen.output or chosen.parameter or chosen.values:
         raise InputError(
             f"{chosen.fmu} is a PEtab problem, which names outputs and parameters: studies new "
             f"{shlex.quote(str(chosen.fmu))} --fmu Model.fmu"

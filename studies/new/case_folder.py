@@ -3,14 +3,16 @@
 import argparse
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription, read_description
-from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
+from simulation.scratch import ScratchFolder
 from simulation.whole_file import whole_file
 from simulation.write_gate import check_written
 from studies.new.choice import (
@@ -22,6 +24,7 @@ from studies.new.choice import (
     parameter_candidates,
 )
 from studies.new.column_kinds import noise_of, switches_of
+from studies.new.system import Said, read_values, unpack_system, with_values
 from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
 from studies.paths import ProjectPaths, mark_project
 from studies.words.console import Column, Console
@@ -56,12 +59,39 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         InputError: The FMU cannot be used, a name is not in it or twice, there is a case file or another FMU
             of that name, or the folder cannot be written.
     """
-    fmu_file: Path = options.fmu.expanduser()
-    fmu, folder = describe(fmu_file), _folder(fmu_file, paths, options.to)
+    with _model(options) as (fmu_file, fmu, values):
+        return _made(options, paths, fmu_file, fmu, values)
+
+
+@contextmanager
+def _model(options: argparse.Namespace) -> Iterator[tuple[Path, FmuDescription, dict[str, Value]]]:
+    """Yield the FMU that is named, or that of an SSP file, with the values of parameters that are given."""
+    file: Path = options.fmu.expanduser()
+    with ExitStack() as stack:
+        said: Said = {}
+        if file.suffix.lower() == ".ssp" and file.exists():
+            scratch = ScratchFolder("studies-system-")
+            stack.callback(scratch.remove)
+            file, said = unpack_system(file, scratch.folder)
+        if options.values is not None:
+            said = {**said, **read_values(options.values.expanduser())}
+        fmu, values = with_values(describe(file), said, str(options.values or options.fmu))
+        yield file, fmu, values
+
+
+def _made(
+    options: argparse.Namespace,
+    paths: ProjectPaths,
+    fmu_file: Path,
+    fmu: FmuDescription,
+    values: Mapping[str, Value],
+) -> MadeCase:
+    folder = _folder(fmu_file, paths, options.to)
     name = case_name(folder.name)
     chosen = choose_parameters(fmu, options.parameter)
     is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
     data = paths.data / name if is_named else folder
+    fixed = {one: value for one, value in values.items() if one not in {v.name for v in chosen.used}}
     case = NewCase(
         name=name,
         place=name if is_named else shlex.quote(paths.show(folder)),
@@ -69,7 +99,8 @@ def make_case(options: argparse.Namespace, paths: ProjectPaths) -> MadeCase:
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
         interface=fmu.usual_interface,
-        inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
+        inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used and one.name not in fixed),
+        fixed=fixed,
         outputs=choose_outputs(fmu, options.output),
         parameters=chosen,
         times=choose_times(fmu),
@@ -192,7 +223,11 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
 
 def list_variables(options: argparse.Namespace, console: Console) -> None:
     """Show what an FMU can be given and asked."""
-    fmu, named = describe(options.fmu.expanduser()), options.parameter
+    with _model(options) as (_, fmu, _):
+        _list(fmu, options.parameter, console)
+
+
+def _list(fmu: FmuDescription, named: list[str], console: Console) -> None:
     is_any = named or parameter_candidates(fmu)
     active = {v.name for v in choose_parameters(fmu, named).used} if is_any else set()
     document: dict[str, Any] = {"command": "new"}

@@ -12,7 +12,7 @@ from jinja2 import Environment
 
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.own_time import clock_of
-from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_text import toml_text
 from studies.new.choice import Choice, Times, bounds_for, inputs_of, other_parameters
 from studies.templates import environment
@@ -39,6 +39,7 @@ class NewCase:
         parameters: The parameters.
         times: The time axis.
         switches: Inputs whose column is there already and has two values.
+        fixed: Values of parameters that are not calibrated, as another program said them. [FMU's units]
         noise: Scatter of the columns of outputs that are there already, by name. [FMU's unit]
     """
 
@@ -52,6 +53,7 @@ class NewCase:
     outputs: Choice
     parameters: Choice
     times: Times
+    fixed: Mapping[str, Value] = field(default_factory=dict)
     switches: frozenset[str] = frozenset()
     noise: Mapping[str, float] = field(default_factory=dict)
 
@@ -65,7 +67,10 @@ class NewCase:
 def case_text(case: NewCase) -> str:
     """Return the case file."""
     template, fmu = _environment().get_template("case.toml.jinja"), case.fmu
-    held, fixable = inputs_of(fmu, held=True), other_parameters(fmu)
+    held, fixable = (
+        [one for one in found if one.name not in case.fixed]
+        for found in (inputs_of(fmu, held=True), other_parameters(fmu))
+    )
     return template.render(
         case=case,
         fmu=fmu,
@@ -104,6 +109,7 @@ def _environment() -> Environment:
     made.filters |= {
         "toml": toml_text,
         "line": _line,
+        "value": _toml_value,
         "number": _number,
         "quote": shlex.quote,
         "key": _key,
@@ -114,6 +120,13 @@ def _environment() -> Environment:
         "declared": _declared,
     }
     return made
+
+
+def _toml_value(value: Value) -> str:
+    """Return a value of [fixed]."""
+    if isinstance(value, bool | str):
+        return toml_text(value) if isinstance(value, str) else str(value).lower()
+    return repr(value)
 
 
 def _key(name: str) -> str:

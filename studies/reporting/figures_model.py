@@ -49,7 +49,9 @@ def coverage_figure(case: Case, y: FloatArray) -> Figure:
     for k, one in enumerate(measurement.outputs):
         series = limit_lines(measurement, k)
         if one.is_measured:
-            at, values = with_gaps(unit.of_seconds(one.samples.time), one.samples.values)
+            beside = np.median(good[:, :, k], axis=0) if len(good) else np.zeros(len(measurement.time))
+            values = one.samples.beside(measurement.time, beside)
+            at, values = with_gaps(unit.of_seconds(one.samples.time), values)
             series.append(Series("measured", INK, at, values))
         if len(good):
             low, quarter, three_quarters, high = np.quantile(good[:, :, k], [0.0, 0.25, 0.75, 1.0], axis=0)

@@ -93,7 +93,9 @@ def test_parquet(tmp_path: Path, zone: str | None) -> None:
     file = renamed(DecayingCase().write(tmp_path), "all.parquet", "all.parquet")
     inputs, measured = frames()
     frame = inputs.merge(measured).set_index("time")
-    (frame if zone is None else frame.tz_localize(zone)).to_parquet(file.parent / "all.parquet")
+    (frame.rename_axis(None) if zone is None else frame.tz_localize(zone)).to_parquet(
+        file.parent / "all.parquet"
+    )
     recovered(file)
     (file.parent / "all.parquet").write_bytes((file.parent / "all.parquet").read_bytes()[:200])
     with pytest.raises(InputError, match=r"all\.parquet: is no readable Parquet file"):
@@ -191,3 +193,17 @@ def test_a_gap_is_named_by_its_timestamps(tmp_path: Path) -> None:
     file = DecayingCase(inputs="time,u\n" + "\n".join(rows) + "\n", measured=measured).write(tmp_path)
     with pytest.raises(InputError, match=r"\(2024-02-29 00:00 to 2024-02-29 00:50\); fill the gap"):
         load_case(file)
+
+
+@pytest.mark.parametrize(
+    ("begin", "what"),
+    [
+        (b"\xd0\xcf\x11\xe0", "a workbook of an old form"),
+        (b"MATLAB 5.0", "a MATLAB"),
+        (b"\x89HDF\r\n", "an HDF5 file"),
+    ],
+)
+def test_tables_of_other_kinds_are_named(tmp_path: Path, begin: bytes, what: str) -> None:
+    (tmp_path / "a.csv").write_bytes(begin + bytes(100))
+    with pytest.raises(InputError, match=f"a.csv: is {what}.*; save its table as CSV, .xlsx or Parquet"):
+        read_recording(tmp_path / "a.csv", ["x"])
