@@ -27,7 +27,8 @@ PUBLIC = {
         "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ChoiceResult",
         "ComparisonResult", "Console", "InputError", "LeastSquaresTRF", "Measurement", "NextResult",
         "PredictionResult", "Problem", "ProjectResult", "ReportResult", "ReproductionResult", "RunResult",
-        "SensitivityResult", "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
+        "SensitivityResult", "SimulationResult", "StageError", "TuningResult", "UncertaintyResult",
+        "UnsoundError", "load_case",
     },
 }  # fmt: skip
 
