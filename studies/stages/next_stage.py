@@ -296,10 +296,9 @@ def _write(task: Task, best: Candidate, offer: Offer, block: Path) -> str:
     place = ""
     if offer.course is not None:
         file = block.with_name(f"{best.name}.csv")
-        rows = "".join(f"{time:.10g},{value:.10g}\n" for time, value in offer.course.tolist())
-        name = best.name.rpartition("-")[0] or best.name
+        rows = "".join(f"{time:.10g},{value:.10g}\n" for time, value in offer.course[1].tolist())
         with whole_file(file) as stream:
-            stream.write(f"time_s,{name}\n{rows}".encode())
+            stream.write(f"time_s,{offer.course[0]}\n{rows}".encode())
         place = task.paths.recorded(file)
         lines.append(f"# Copy {file.name} to the folder of the recordings.")
     with whole_file(block) as stream:

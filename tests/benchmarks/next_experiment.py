@@ -5,8 +5,8 @@ drawn evenly in the middle of the box, simulated by the FMU and disturbed by whi
 measurement (office: four days; two-rooms: one experiment; heat pump: a day) is calibrated, `next_experiment`
 ranks what may be measured next (other days; experiments; weather), and the best one is added and calibrated.
 
-Per truth it prints the geometric mean over the parameters of half the posterior's 90 % intervals after that, by
-`studies uncertainty`, over the promised half widths, and the same with linearised intervals; how
+Per truth it prints the geometric mean over the parameters of half the posterior's 90 % intervals after that,
+by `studies uncertainty`, over the promised half widths, and the same with linearised intervals; how
 many intervals hold the truth; and what mean half widths at the truth the chosen, all (a random one) and the
 best candidate in hindsight would leave, by differences of the FMU. Every truth is kept in the JSON file as
 soon as it ends; gates nothing.
