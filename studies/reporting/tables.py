@@ -350,38 +350,22 @@ def structures_table(found: Choice, unit: str) -> Table:
     """
     square = square_of(unit)
     columns = (
-        Column("structure"),
-        number("parameters"),
-        number("determined", spare=1),
-        number("error", square),
-        number("AIC", spare=2),
-        number("BIC"),
-        number("log evidence"),
-        number("probability"),
-        number("left-out error", square),
-        number("white", spare=2),
-        Column("restricts", spare=3),
-        number("p", spare=3),
-        number("calls", spare=1),
-    )
+        Column("structure"), number("parameters"), number("determined", spare=1), number("error", square),
+        number("AIC", spare=2), number("BIC"), number("log evidence"), number("probability"),
+        number("left-out error", square), number("white", spare=2), Column("restricts", spare=3),
+        number("p", spare=3), number("calls", spare=1),
+    )  # fmt: skip
     least = [min(getattr(one, key) for one in found.structures) for key in ("aic", "bic")]
     rows = [
         [
-            one.case,
-            one.n_parameters,
-            len(one.determined),
-            significant(one.mse, 4),
+            one.case, one.n_parameters, len(one.determined), significant(one.mse, 4),
             *(f"+{value - low:.1f}" for value, low in zip((one.aic, one.bic), least, strict=True)),
-            f"{one.log_evidence:.1f}",
-            percent(one.probability),
-            significant(one.left_out_mse, 4),
-            significant(one.white, 2),
-            one.larger or MISSING,
-            significant(one.restriction, 2),
+            f"{one.log_evidence:.1f}", percent(one.probability), significant(one.left_out_mse, 4),
+            significant(one.white, 2), one.larger or MISSING, significant(one.restriction, 2),
             one.n_calls + one.n_judged,
         ]
         for one in found.structures
-    ]
+    ]  # fmt: skip
     names = [one.case for one in found.structures]
     title = f"Structures on one measurement (AIC, BIC: above the least; left out: {found.blocks})"
     return Table(title, columns, rows, names.index(found.chosen) if found.chosen else None)
@@ -397,16 +381,10 @@ def profiles_table(space: ParameterSpace, found: Profiles, posterior: Uncertaint
     """
     share = percent(found.level)
     columns = (
-        Column("parameter"),
-        Column("unit"),
-        number(f"profile {share} from"),
-        number("to"),
-        number("posterior from", spare=1),
-        number("to", spare=1),
-        number("rise by simulation", spare=2),
-        number("at both ends", spare=2),
-        Column("moves with", spare=1),
-    )
+        Column("parameter"), Column("unit"), number(f"profile {share} from"), number("to"),
+        number("posterior from", spare=1), number("to", spare=1), number("rise by simulation", spare=2),
+        number("at both ends", spare=2), Column("moves with", spare=1),
+    )  # fmt: skip
     rows = []
     for one, interval in zip(space.parameters, posterior.interval.T.tolist(), strict=True):
         its = found.parameters[one.name]
@@ -422,25 +400,15 @@ def profiles_table(space: ParameterSpace, found: Profiles, posterior: Uncertaint
 def planned_table(found: Planned) -> Table:
     """Tabulate candidates for the next experiment, the best first."""
     columns = (
-        Column("candidate"),
-        Column("what", spare=1),
-        number("days"),
-        number("intervals shrink to"),
-        number(found.criterion, spare=2),
-        Column("would determine"),
-        number("calls", spare=2),
-    )
+        Column("candidate"), Column("what", spare=1), number("days"), number("intervals shrink to"),
+        number(found.criterion, spare=2), Column("would determine"), number("calls", spare=2),
+    )  # fmt: skip
     rows = [
         [
-            one.name,
-            one.what,
-            significant(one.days),
-            percent(one.shrinks_to),
-            significant(one.merit, 4),
-            one.excluded or ", ".join(one.determines) or MISSING,
-            one.n_calls,
+            one.name, one.what, significant(one.days), percent(one.shrinks_to), significant(one.merit, 4),
+            one.excluded or ", ".join(one.determines) or MISSING, one.n_calls,
         ]
         for one in found.candidates
-    ]
+    ]  # fmt: skip
     title = "What the next experiment would tell, the best first"
     return Table(title, columns, rows, None if found.candidates[0].excluded else 0)

@@ -39,7 +39,7 @@ class Offer:
         is_own: Of which of all parameters it has a value of its own. Shape (p,).
         begins_anew: Whether it begins at another time than the present recording.
         block: Keys of its [[experiments]] table.
-        course: Times [s] and values of an input that it needs, None for none. Shape (m, 2).
+        course: Name of an input that it needs, with times [s] and values, shape (m, 2); None for none.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Offer:
     is_own: BoolArray
     begins_anew: bool
     block: str
-    course: FloatArray | None = None
+    course: tuple[str, FloatArray] | None = None
 
     @property
     def days(self) -> float:
@@ -190,7 +190,7 @@ def _of_input(present: Offer, text: str, seed: int) -> Iterator[Offer]:
         yield replace(
             present, name=label, what=what, begins_anew=True, block=f"inputs = [{row}]",
             case=replace(case, scenario=scenario, settings=replace(case.settings, scenario=scenario)),
-            course=np.column_stack([edges[:-1], values]),
+            course=(name, np.column_stack([edges[:-1], values])),
         )  # fmt: skip
 
 

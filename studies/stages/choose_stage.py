@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import FloatArray, digest_of
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.measurement import MeasuredOutput
 from studies.calibration.descent import Residuals, jacobians
 from studies.calibration.differences import difference_rows
 from studies.calibration.problem import CalibrationProblem
@@ -70,24 +71,25 @@ def check_same_measurement(cases: Sequence[Case]) -> None:
     names = [case.name for case in cases]
     if len(cases) < 2 or len(set(names)) < len(names):
         raise InputError(f"choose compares cases of different names, two or more; given: {', '.join(names)}")
-    first = cases[0]
     for other in cases[1:]:
-        pair = f"{first.name} and {other.name}"
-        if len(first.outputs) != len(other.outputs):
-            raise InputError(f"{pair} have {len(first.outputs)} and {len(other.outputs)} outputs; {_REMEDY}")
-        for mine, its in zip(first.outputs, other.outputs, strict=True):
-            where = f"{pair}: outputs[{mine.name}] and outputs[{its.name}]"
-            for key in ("unit", "uncertainty", "weight", "loss", "correlation_s", "error_lasts_s", "limits"):
-                if repr(getattr(mine, key)) != repr(getattr(its, key)):
-                    raise InputError(f"{where} differ in {key}; {_REMEDY}")
-            same = (
-                np.array_equal(getattr(mine.samples, key), getattr(its.samples, key))
-                for key in ("time", "values")
+        pair = f"{names[0]} and {other.name}"
+        if len(cases[0].outputs) != len(other.outputs):
+            raise InputError(
+                f"{pair} have {len(cases[0].outputs)} and {len(other.outputs)} outputs; {_REMEDY}"
             )
-            if not all(same):
-                raise InputError(f"{where} have other samples; {_REMEDY}")
+        for mine, its in zip(cases[0].outputs, other.outputs, strict=True):
+            both = [vars(one) | {"samples": digest_of("", *_arrays(one))} for one in (mine, its)]
+            if differing := [key for key in _COMPARED if repr(both[0][key]) != repr(both[1][key])]:
+                raise InputError(f"{pair}: outputs[{mine.name}] and outputs[{its.name}] have other "
+                                 f"{differing[0]}; {_REMEDY}")  # fmt: skip
 
 
+def _arrays(output: MeasuredOutput) -> list[FloatArray]:
+    samples = output.samples
+    return [one for one in (samples.time, samples.values, samples.deviations) if one is not None]
+
+
+_COMPARED = ("samples", "unit", "uncertainty", "weight", "loss", "correlation_s", "error_lasts_s", "limits")
 _REMEDY = "structures are compared on one measurement, so give all the same window, data and outputs"
 
 
@@ -172,7 +174,7 @@ def _compared(
             bars("structures", done, n)
             posterior = Posterior(noise, one.problem.prior)
             evidences.append(evidence(one.residuals, posterior, one.starts[0], seed=seed))
-            blocks = blocks_of(one.problem.measurement, _experiment_of(one.problem))
+            blocks = blocks_of(one.problem.measurement)
             losses.append(left_out_losses(one.residuals, posterior, one.starts, blocks))
         bars("structures", n, n)
     logs = np.array([one.log for one in evidences])
@@ -182,61 +184,29 @@ def _compared(
     names = [set(one.problem.space.names) for one in judged]
     structures = []
     for i, (task, one) in enumerate(zip(tasks, judged, strict=True)):
-        p, k = one.problem.space.n_parameters, None
-        if larger := [j for j in range(n) if names[i] < names[j]]:
-            k = min(larger, key=lambda j: len(names[j]))
-        ratio = None
-        if k is not None:
-            ratio = exceeded(deviances[i] - deviances[k], len(names[k]) - p)
-        at = one.starts[:1]
+        at, p = one.starts[:1], one.problem.space.n_parameters
+        larger = min((j for j in range(n) if names[i] < names[j]), key=lambda j: len(names[j]), default=None)
         slopes = jacobians(one.residuals, at, one.residuals(at))[0]
         local = judged_slopes(one.problem.space.names, slopes, noise.raised, prior=one.problem.prior)
-        structures.append(
-            Structure(
-                case=task.case.name,
-                label=task.label,
-                n_parameters=p,
-                determined=local.determined,
-                mse=one.mse,
-                aic=deviances[i] + 2.0 * p,
-                bic=deviances[i] + p * float(np.log(noise.n_independent)),
-                log_evidence=evidences[i].log,
-                log_evidence_error=evidences[i].error,
-                probability=probabilities[i],
-                left_out_mse=float(np.mean(losses[i])),
-                left_out=tuple(losses[i].tolist()),
-                white=whiteness(one.problem.measurement, one.y),
-                larger="" if k is None else tasks[k].case.name,
-                restriction=ratio,
-                n_calls=calibrations[i].result.n_calls,
-                n_judged=one.n_simulated,
-                by_equations=one.by_equations,
-            )
-        )
+        structure = Structure(
+            case=task.case.name, label=task.label, n_parameters=p, determined=local.determined, mse=one.mse,
+            aic=deviances[i] + 2.0 * p, bic=deviances[i] + p * float(np.log(noise.n_independent)),
+            log_evidence=evidences[i].log, log_evidence_error=evidences[i].error,
+            probability=probabilities[i],
+            left_out_mse=float(np.mean(losses[i])), left_out=tuple(losses[i].tolist()),
+            white=whiteness(one.problem.measurement, one.y),
+            larger="" if larger is None else tasks[larger].case.name,
+            restriction=None if larger is None
+            else exceeded(deviances[i] - deviances[larger], len(names[larger]) - p),
+            n_calls=calibrations[i].result.n_calls, n_judged=one.n_simulated, by_equations=one.by_equations,
+        )  # fmt: skip
+        structures.append(structure)
     chosen, reason = decided(structures)
     probable = max(structures, key=lambda one: one.probability)
-    what = "experiment" if judged[0].problem.layout else "part of the time"
-    return Choice(
-        structures=tuple(structures),
-        chosen=chosen,
-        reason=reason,
-        noise=noise,
-        noise_of=tasks[best].case.name,
-        blocks=count(
-            len(losses[0]), what, "experiments" if judged[0].problem.layout else "parts of the time"
-        ),
-        is_explained=probable.white >= WHITE,
-    )
-
-
-def _experiment_of(problem: CalibrationProblem) -> IntArray | None:
-    """Return the experiment of each output (k,), None for a single one."""
-    if problem.layout is None:
-        return None
-    of = np.zeros(len(problem.layout.output_names), dtype=np.int64)
-    for place, one in enumerate(problem.layout.experiments):
-        of[one.outputs] = place
-    return of
+    what = "experiment" if judged[0].problem.layout else "part"
+    blocks_named = count(len(losses[0]), what) + ("" if judged[0].problem.layout else " of the time")
+    name, is_white = tasks[best].case.name, probable.white >= WHITE
+    return Choice(tuple(structures), chosen, reason, noise, name, blocks_named, is_explained=is_white)
 
 
 def decided(structures: Sequence[Structure]) -> tuple[str, str]:

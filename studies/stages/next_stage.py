@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -128,21 +129,16 @@ def _planned(
             width = np.mean([half_widths(one) for one in after], axis=0)
             before = np.mean([half_widths(one) for one in spread_now[: len(after)]], axis=0)
             limit = half_widths(np.eye(p) / BOX_PRECISION) * DETERMINED * np.sqrt(BOX_PRECISION)
-            named = [name for name, one in zip(space.names, is_own, strict=True) if one]
             news = (width < limit) & ~(before < limit)
             candidate = Candidate(
-                name=offer.name,
-                what=offer.what,
-                days=offer.days,
+                name=offer.name, what=offer.what, days=offer.days,
                 half_widths=dict(zip(space.names, width.tolist(), strict=True)),
                 shrinks_to=float(width.mean() / before.mean()),
                 merit=float(np.mean([merit(one, criterion) for one in after])),
                 determines=tuple(name for name, one in zip(space.names, news, strict=True) if one),
-                own=tuple(named),
-                n_calls=its.n_calls,
-                by_equations=its.by_equations,
-                excluded=its.excluded,
-            )
+                own=tuple(name for name, one in zip(space.names, is_own, strict=True) if one),
+                n_calls=its.n_calls, by_equations=its.n_calls == 0, excluded=its.excluded,
+            )  # fmt: skip
             found.append((candidate, offer))
         bars("candidates", len(offered), len(offered))
     found.sort(key=lambda one: (bool(one[0].excluded), one[0].merit))
@@ -151,33 +147,26 @@ def _planned(
         if best.by_equations:
             error, n_calls = _error(task, model, present, offer, space, points[0]), n_calls + 1
         file = _write(task, best, offer, block)
-    return Planned(
-        calibration=calibration.name,
-        criterion=criterion,
-        n_points=len(points),
-        half_widths=dict(zip(space.names, width_now.tolist(), strict=True)),
-        candidates=tuple(one for one, _ in found),
-        block="" if best.excluded else task.paths.recorded(block),
-        inputs=file,
-        n_calls=n_calls,
-        error=error,
-    )
+    now_named = dict(zip(space.names, width_now.tolist(), strict=True))
+    place = "" if best.excluded else task.paths.recorded(block)
+    every = tuple(one for one, _ in found)
+    return Planned(calibration.name, criterion, len(points), now_named, every, place, file, n_calls, error)
 
 
-class _Slopes:
+class _Slopes(NamedTuple):
     """What a candidate's samples do as parameters move, one over the sensor's share of the first one's.
 
     Attributes:
         slopes: At each point. Shape (k, m, p). [first output's unit per range]
         only_start: Parameters that act on the start alone, as far as equations say. Shape (p,).
-        n_calls: Simulations that they took.
-        by_equations: Whether equations gave them.
         excluded: Why the candidate is not to be made.
+        n_calls: Simulations that they took, none where equations gave them.
     """
 
-    def __init__(self, slopes: FloatArray, only_start: BoolArray, excluded: str, n_calls: int) -> None:
-        self.slopes, self.only_start, self.excluded, self.n_calls = slopes, only_start, excluded, n_calls
-        self.by_equations = n_calls == 0
+    slopes: FloatArray
+    only_start: BoolArray
+    excluded: str
+    n_calls: int
 
 
 def _slopes(
@@ -307,10 +296,9 @@ def _write(task: Task, best: Candidate, offer: Offer, block: Path) -> str:
     place = ""
     if offer.course is not None:
         file = block.with_name(f"{best.name}.csv")
-        rows = "".join(f"{time:.10g},{value:.10g}\n" for time, value in offer.course.tolist())
-        name = best.name.rpartition("-")[0] or best.name
+        rows = "".join(f"{time:.10g},{value:.10g}\n" for time, value in offer.course[1].tolist())
         with whole_file(file) as stream:
-            stream.write(f"time_s,{name}\n{rows}".encode())
+            stream.write(f"time_s,{offer.course[0]}\n{rows}".encode())
         place = task.paths.recorded(file)
         lines.append(f"# Copy {file.name} to the folder of the recordings.")
     with whole_file(block) as stream:

@@ -15,6 +15,7 @@ from scipy.special import gammaincc, logsumexp, ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray, IntArray
+from simulation.layout import MARK
 from simulation.measurement import Measurement
 from studies.calibration.descent import Residuals, descend_together, jacobians
 from studies.calibration.prior import Prior
@@ -107,16 +108,12 @@ def _log_prior_scale(prior: Prior | None) -> float:
     return total
 
 
-def blocks_of(measurement: Measurement, experiment_of: IntArray | None) -> list[IntArray]:
-    """Return the residuals that are left out together: of an experiment each, else of parts of the time.
-
-    Args:
-        measurement: What was measured.
-        experiment_of: Experiment of each output, None for a single one. Shape (k,).
-    """
-    if experiment_of is not None and len(set(experiment_of.tolist())) > 1:
-        of = experiment_of[measurement.output_of]
-        return [np.flatnonzero(of == one) for one in sorted(set(of.tolist()))]
+def blocks_of(measurement: Measurement) -> list[IntArray]:
+    """Return the residuals that are left out together: of an experiment each, else of parts of the time."""
+    experiments = [name.partition(MARK)[2] for name in measurement.output_names]
+    if len(set(experiments)) > 1:
+        of = np.array(experiments)[measurement.output_of]
+        return [np.flatnonzero(of == one) for one in dict.fromkeys(experiments)]
     return np.array_split(np.arange(measurement.n_samples), min(N_BLOCKS, measurement.n_samples))
 
 
