@@ -25,7 +25,7 @@ PUBLIC = {
     },
     "studies": COMMANDS | {
         "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ComparisonResult",
-        "Console", "InputError", "LeastSquaresTRF", "Measurement", "PredictionResult", "Problem",
+        "Console", "InputError", "LeastSquaresTRF", "Measurement", "ObjectiveResult", "PredictionResult", "Problem",
         "ProjectResult", "ReportResult", "ReproductionResult", "RunResult", "SensitivityResult",
         "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
     },
