@@ -25,8 +25,8 @@ PUBLIC = {
     },
     "studies": COMMANDS | {
         "BestResult", "CalibrationProblem", "CalibrationResult", "Case", "CheckResult", "ComparisonResult",
-        "Console", "InputError", "LeastSquaresTRF", "Measurement", "ObjectiveResult", "PredictionResult", "Problem",
-        "ProjectResult", "ReportResult", "ReproductionResult", "RunResult", "SensitivityResult",
+        "Console", "InputError", "LeastSquaresTRF", "Measurement", "ObjectiveResult", "PredictionResult",
+        "Problem", "ProjectResult", "ReportResult", "ReproductionResult", "RunResult", "SensitivityResult",
         "SimulationResult", "StageError", "TuningResult", "UncertaintyResult", "UnsoundError", "load_case",
     },
 }  # fmt: skip
