@@ -51,6 +51,7 @@ PROFILE_TABLES = {
     "[data]": profile.DataBudget,
     "[sensitivity]": profile.SensitivityBudget,
     "[tuning]": profile.TuningBudget,
+    "[tuning] of an objective": profile.TrialsBudget,
     "[tuning.search]: a table per hyperparameter": search_space.SearchParameter,
     "[screening]": profile.ScreeningBudget,
     "[polish]": profile.PolishBudget,
@@ -157,7 +158,9 @@ def _prose(text: str) -> Iterator[str]:
 def _tables(title: str, first: str, tables: dict[str, Any]) -> str:
     text = f"# {title}\n{MADE}\n{first}\n"
     for heading, owner in tables.items():
-        summary, described = _docstring(owner)
+        summary = _docstring(owner)[0]
+        # What a class has from another one is described there.
+        described = {k: v for one in reversed(owner.__mro__[:-1]) for k, v in _docstring(one)[1].items()}
         text += f"\n## {heading}\n\n{summary}\n\n"
         is_written = hasattr(owner, "__pydantic_fields__")
         text += _row("name", "meaning", "type", "unit", "default" * is_written)

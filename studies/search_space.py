@@ -138,10 +138,15 @@ PCA_GP_SPACE: SearchSpace = {
 """Searched for PCA + GP where the profile names no search space."""
 
 
+def is_own(surrogate: str) -> bool:
+    """Say whether a surrogate is a class of a user's, named as `module:Class`."""
+    return ":" in surrogate
+
+
 def space_of(surrogate: str, declared: SearchSpace | None) -> SearchSpace:
     """Return the search space of a surrogate: the declared one, else the usual one."""
-    if declared is not None:
-        return declared
+    if declared is not None or is_own(surrogate):
+        return declared or {}
     return {"pca-gp": PCA_GP_SPACE, "state-space": STATE_SPACE}.get(surrogate, NETWORK_SPACE)
 
 
@@ -151,6 +156,8 @@ def check_fixed(surrogate: str, fixed: Mapping[str, Any]) -> None:
     Raises:
         ValueError: a setting does not exist, has no effect, or does not take the value.
     """
+    if is_own(surrogate):  # its class knows its keywords
+        return
     known = OF_PCA_GP if surrogate == "pca-gp" else OF_NETWORKS
     for name in fixed:
         if name not in known:
@@ -173,8 +180,8 @@ def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[s
         ValueError: a setting does not exist, has no effect, or takes none of the values.
     """
     known = OF_PCA_GP if surrogate == "pca-gp" else OF_NETWORKS
-    base, seen = VARIANTS[surrogate], set[str]()
-    for name, parameter in space.items():
+    base, seen = VARIANTS.get(surrogate, VARIANTS["refined"]), set[str]()
+    for name, parameter in ({} if is_own(surrogate) else space).items():
         if name not in known:
             raise ValueError(
                 f'search.{name} has no effect on surrogate "{surrogate}", which has {", ".join(known)}'

@@ -10,6 +10,7 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
+from studies.own_surrogate import OwnSurrogate
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class SurrogateModel:
         n_jobs: CPU cores that share the rows of a prediction.
     """
 
-    surrogate: Surrogate | MeanSurrogate
+    surrogate: Surrogate | MeanSurrogate | OwnSurrogate
     parameter_space: ParameterSpace
     output_names: tuple[str, ...]
     time: FloatArray

@@ -20,6 +20,7 @@ from studies.exports.calibrated_values import (
     calibrated_values,
     values_of,
 )
+from studies.own_surrogate import OwnSurrogate
 from studies.paths import ProjectPaths, folder_name
 from studies.project import FinishedCalibration, Project, best_by_label, changed_files
 from studies.results.provenance import case_of, read_provenance
@@ -154,6 +155,7 @@ def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes, str]:
     made = read_provenance(record, f"MLflow's run {best.run_id}")
     case = case_of(project.paths, made, exactly=False)
     surrogate = load_surrogate(runs, best.run_id)
+    assert not isinstance(surrogate, OwnSurrogate), "it decodes by layers"
     try:
         from pelsvae.onnx_file import onnx_bytes
 

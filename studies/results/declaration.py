@@ -8,16 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
 from pelsvae.config import SurrogateConfig
 from simulation.arrays import digest_of
 from simulation.errors import InputError
+from studies.own_surrogate import OwnConfig
 from studies.paths import ProjectPaths, size_name
 from studies.results.saved import plain
-from studies.search_space import STRICT, SearchParameter, SearchSpace, default_point
+from studies.search_space import STRICT, SearchParameter, SearchSpace, default_point, is_own
 
 ALIAS = "champion"
 """Of the best surrogate of a size, in MLflow's registry."""
@@ -143,7 +144,8 @@ class Declaration(StudyDeclaration):
     Args:
         n_train: rows of the training design that are used (failed simulations among them are left out).
         case_name: name of the case.
-        surrogate: named form of the surrogate: "state-space", "refined", "paper" or "pca-gp".
+        surrogate: named form of the surrogate: "state-space", "refined", "paper" or "pca-gp"; or a user's
+            class as "module:Class".
         settings: settings of the surrogate that every trial shares.
         forms: where the decoder is searched, the settings that trials with each decoder share.
         search: search space, as JSON values by hyperparameter.
@@ -293,6 +295,8 @@ class Declaration(StudyDeclaration):
     @cached_property
     def base_config(self) -> SurrogateConfig:
         """The settings that all trials share."""
+        if is_own(self.surrogate):  # which stand for settings wherever trials are compared and shown
+            return cast("SurrogateConfig", OwnConfig(self.surrogate).replace(**self.settings))
         # One thread each, as the workers share the cores.
         return SurrogateConfig.from_dict(self.settings | {"device": self.device, "n_threads": 1})
 
@@ -314,12 +318,15 @@ class Declaration(StudyDeclaration):
 
     def config(self, params: Mapping[str, Any]) -> SurrogateConfig:
         """Return all settings of a trial's surrogate."""
-        plain = {"weight_decay": 0.0} if params.get("optimizer") == "adam" else {}  # adam has none
+        is_adam = params.get("optimizer") == "adam" and not is_own(self.surrogate)
+        plain = {"weight_decay": 0.0} if is_adam else {}  # adam has none
         return self._base_of(params.get("decoder")).replace(**(plain | dict(params)))
 
     def point_of(self, config: SurrogateConfig) -> dict[str, Any] | None:
         """Return the hyperparameters by which a trial would have these settings, None where none has them."""
         point: dict[str, Any] = {}
+        if type(config) is not type(self.base_config):
+            return None
         for name, parameter in self.space.items():
             if parameter.is_asked(self.base_config.to_dict() | point):
                 point[name] = getattr(config, name)

@@ -18,6 +18,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.search.row_choice import best_and_far
 from studies.calibration.two_phase import calibrate_two_phase
+from studies.own_surrogate import OwnSurrogate
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
 from studies.profile import Profile
@@ -68,7 +69,7 @@ def tuned_with_best(task: Task, asked: Sequence[int] | None) -> dict[int, TrialV
     return {n: found[n] for n in sorted(set(asked or found))}
 
 
-def best_surrogate(task: Task, n_train: int) -> Surrogate | MeanSurrogate:
+def best_surrogate(task: Task, n_train: int) -> Surrogate | MeanSurrogate | OwnSurrogate:
     """Load the best surrogate of a size from its MLflow run, on the CPU wherever it was trained.
 
     Raises:
@@ -150,7 +151,7 @@ def _of_training(task: Task, n_train: int) -> ChooseRows:
 
 def calibrate(
     task: Task,
-    surrogate: Surrogate | MeanSurrogate,
+    surrogate: Surrogate | MeanSurrogate | OwnSurrogate,
     n_train: int,
     origin: Mapping[str, Any] | None = None,
     start: ChooseRows | None = None,

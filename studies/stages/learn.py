@@ -1,7 +1,7 @@
 """The stage that learns: one Optuna study per training-set size, and PCA + GP beside it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
 from studies.calibration.hidden_network.inputs import drive_of
+from studies.own_surrogate import own_defaults
 from studies.reporting.sentences import mean_sentences
 from studies.reporting.tables import tuning_table
 from studies.results.declaration import DRIVE, Declaration, digest_of_arrays
@@ -20,7 +21,7 @@ from studies.results.row_set import RowSet
 from studies.results.saved import write_arrays
 from studies.results.stage_results import SimulatedSets, Tuned
 from studies.results.trials import TunedStudy
-from studies.search_space import FORMS, NETWORK_SPACE, form_of
+from studies.search_space import FORMS, NETWORK_SPACE, SearchParameter, form_of, is_own
 from studies.stages.simulate_stage import set_files
 from studies.task import StageError, Task
 from studies.tracking.sending import begin_sending
@@ -39,6 +40,8 @@ def require_tuning(task: Task) -> None:
     """
     make_sampler(task.profile.tuning.sampler, task.profile.seed)
     make_pruner(task.profile.tuning.pruner)
+    if is_own(surrogate := task.profile.tuning.surrogate):
+        own_defaults(surrogate, {**task.profile.tuning.space, **task.profile.tuning.fixed})
     if task.profile.tuning.device == "cuda":
         try:
             resolve_device("cuda")
@@ -133,7 +136,9 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
     longer = {name: value for name, value in given.items() if value is not None} | dict(budget.fixed)
     surrogate = form_of(budget.surrogate, budget.fixed)
     search, files, driven = dict(budget.space), dict(simulated.files), dict[str, str]()
-    decoders = search["decoder"].choices if "decoder" in search else (VARIANTS[surrogate].decoder,)
+    decoders: Sequence[Any] = ()
+    if not is_own(surrogate):
+        decoders = search["decoder"].choices if "decoder" in search else (VARIANTS[surrogate].decoder,)
     if "state-space" in decoders:
         if (written := written_drive(task)) is not None:
             files[DRIVE], driven[DRIVE] = written
@@ -156,7 +161,7 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
             n_train=n_train,
             case_name=task.case.name,
             surrogate=surrogate,
-            settings=_settings(surrogate, longer),
+            settings=own_settings(surrogate, search, budget.fixed) or _settings(surrogate, longer),
             forms=forms,
             search={name: one.to_dict() for name, one in search.items()},
             sampler=budget.sampler,
@@ -194,6 +199,19 @@ def declarations(task: Task, simulated: SimulatedSets) -> list[Declaration]:
             )
             found.append(baseline)
     return of_project(found, task.paths)
+
+
+def own_settings(
+    surrogate: str, search: Mapping[str, SearchParameter], fixed: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the keywords that all trials of a user's class share, with a value of those searched.
+
+    Empty where the surrogate is none of a user's.
+    """
+    if not is_own(surrogate):
+        return {}
+    first = {name: one.choices[0] if one.choices else one.low for name, one in search.items()}
+    return {**first, **own_defaults(surrogate, {**search, **fixed}), **fixed}
 
 
 def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:

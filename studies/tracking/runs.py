@@ -21,6 +21,7 @@ from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from simulation.record_file import read_json, with_checksum
 from simulation.write_gate import check_written
+from studies.own_surrogate import OwnSurrogate, holds_own, load_own
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.results.declaration import ALIAS, UNEXPLAINED, Declaration
 from studies.results.provenance import FILE
@@ -307,7 +308,7 @@ SURROGATE = "surrogate"
 """Artifact of a trial's run: the weights, of trials that were among the best when they ended."""
 
 
-def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate | MeanSurrogate":
+def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate | MeanSurrogate | OwnSurrogate":
     """Load the surrogate of a trial, or a mean of several, from its run.
 
     Raises:
@@ -318,6 +319,8 @@ def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate | MeanSurrogate":
     with tempfile.TemporaryDirectory(prefix="studies-surrogate-") as scratch:
         folder = runs.fetch(run_id, SURROGATE, Path(scratch))
         try:
+            if holds_own(folder):
+                return load_own(folder)
             return surrogate_files.load_surrogate(folder, device="cpu")
         except (ValueError, FileNotFoundError) as error:
             raise InputError(f"the surrogate of MLflow's run {run_id} cannot be loaded: {error}") from None
@@ -349,7 +352,8 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     import pandas as pd
 
     unit, client = difference_unit(spec.output_unit), runs.client
-    kind = "mean" if best.parts else "PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP"
+    usual = "PCA + GP" if spec.surrogate == "pca-gp" else "PELS-VAE"
+    kind = "mean" if best.parts else spec.surrogate if ":" in spec.surrogate else usual
     about = {"study": spec.name, "trial": str(best.number), "model": best.model}
     with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
@@ -374,7 +378,7 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
         save_model(
             folder,
             mlflow_model=model,
-            loader_module="pelsvae.pyfunc",
+            loader_module="studies.own_surrogate" if holds_own(weights) else "pelsvae.pyfunc",
             code_paths=[str(Path(pelsvae.__file__).parent)],
             data_path=str(weights),
             pip_requirements=needed,

@@ -17,6 +17,7 @@ from studies.results.best_mean import BestMean, MeanPart, in_words
 from studies.results.declaration import Declaration
 from studies.results.provenance import file_digest
 from studies.results.trials import TrialView, TunedStudy
+from studies.search_space import is_own
 from studies.tracking.runs import SURROGATE, RunStore, load_surrogate
 from studies.tracking.study_run import log_mean
 from studies.tuning.trial_training import StudyData, errors_by_name, load_data
@@ -48,8 +49,8 @@ def best_mean(
         The mean; None without a trial, with cross-validation, where no row weighs it, and for "paper".
     """
     best, spec = found.best_trial, found.spec
-    # What was published is one network.
-    if best is None or spec.folds or spec.surrogate == "paper":
+    # What was published is one network, and a user's class stands for itself.
+    if best is None or spec.folds or spec.surrogate == "paper" or is_own(best.spec.surrogate):
         return None
     wanted = [best, *(one for one in found.usable if one != best)]
     # Weights are kept of trials that were among the best when they ended.

@@ -1,9 +1,6 @@
 """Optuna's samplers and pruners by name, and the seeds that make a study repeatable."""
 
-import sysconfig
 from collections.abc import Mapping
-from importlib import import_module
-from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from inspect import signature
 from typing import Any, TypeVar
@@ -15,6 +12,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted
+from studies.installed import installed_class
 from studies.results.declaration import StudyDeclaration
 from studies.tuning.attempts import experimental
 
@@ -74,24 +72,10 @@ def _made(
 
 
 def _installed(kind: str, name: str, base: type[_Made]) -> type[_Made]:
-    """Return a class of an installed package by `module:Class`.
-
-    A profile may be a stranger's: what lies in its folder, or in the working folder, is not imported.
-    """
-    module, _, class_name = name.partition(":")
-    package, remedy = module.partition(".")[0], "name a class of an installed package, as module:Class"
-    if not all(part.isidentifier() for part in (*module.split("."), class_name)):
-        raise InputError(f"tuning.{kind}: {quoted(name)} is no module:Class; {remedy}")
-    places = [sysconfig.get_path(one) for one in ("purelib", "platlib")]
-    there, taken = PathFinder.find_spec(package, places), find_spec(package)
-    if there is None or taken is None or there.origin is None or there.origin != taken.origin:
-        raise InputError(f"tuning.{kind}: no package {package!r} is installed; type: pip install {package}")
-    try:
-        found = getattr(import_module(module), class_name, None)
-    except ImportError as error:
-        raise InputError(f"tuning.{kind}: {module} cannot be imported: {error}") from None
-    if not (isinstance(found, type) and issubclass(found, base)):
-        raise InputError(f"tuning.{kind}: {quoted(name)} is no {kind} of Optuna; {remedy}")
+    """Return a sampler or pruner of an installed package by `module:Class`."""
+    found = installed_class(f"tuning.{kind}", name)
+    if not issubclass(found, base):
+        raise InputError(f"tuning.{kind}: {quoted(name)} is no {kind}; name one of Optuna's kind")
     return found
 
 

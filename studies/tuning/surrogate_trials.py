@@ -11,10 +11,11 @@ from optuna.trial import TrialState
 from pelsvae.device import resolve_device
 from pelsvae.epochs import EpochReport, StopTraining
 from pelsvae.surrogate_files import save_surrogate
+from studies.own_surrogate import DESCRIPTION, OwnSurrogate
 from studies.paths import ProjectPaths
 from studies.results.declaration import Declaration
 from studies.results.provenance import file_digest
-from studies.search_space import OF_NETWORKS, OF_PCA_GP, check_point, suggested
+from studies.search_space import OF_NETWORKS, OF_PCA_GP, check_point, is_own, suggested
 from studies.tracking.origin import environment
 from studies.tracking.runs import CURVE, SURROGATE, VALIDATION_MAE
 from studies.tuning import attempts
@@ -54,6 +55,7 @@ class SurrogateTrials:
             raise TrialFailedError(f"its enqueued values are refused: {error}") from error
         # What has an effect on this form of surrogate.
         known = OF_PCA_GP if spec.surrogate == "pca-gp" else OF_NETWORKS
+        known = config.to_dict() if is_own(spec.surrogate) else known
         shown = {"seed": trial.seed, **{name: getattr(config, name) for name in known}, **params}
         run = trial.begin(shown)
         run.write({"params": params, "seed": trial.seed, "environment": self._environment})
@@ -87,8 +89,12 @@ class SurrogateTrials:
             raise optuna.TrialPruned(trial.stopped)
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
-            save_surrogate(fitted.surrogate, folder)
-            weights = file_digest(folder / "weights.npz")
+            if isinstance(own := fitted.surrogate, OwnSurrogate):
+                own.save(folder)
+            else:
+                save_surrogate(fitted.surrogate, folder)
+            # A description of a user's class has the digests of its files.
+            weights = file_digest(folder / (DESCRIPTION if is_own(spec.surrogate) else "weights.npz"))
             for file in sorted(folder.iterdir()) if is_kept else ():
                 trial.log_file(file, SURROGATE)
         trial.note(fitted.stop_reason, best_epoch=fitted.best_epoch, weights_sha256=weights)

@@ -8,6 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from threading import Event
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from pelsvae.linear_network.drive import Drive
 from pelsvae.metrics import errors
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
+from studies.own_surrogate import OwnConfig, fit_own
 from studies.paths import ProjectPaths
 from studies.results.declaration import (
     CROSS_VALIDATED,
@@ -96,7 +98,7 @@ class Training:
     """
 
     spec: Declaration
-    config: SurrogateConfig
+    config: SurrogateConfig | OwnConfig
     seed: int
     data: StudyData
     drive: Drive | None = None
@@ -219,6 +221,17 @@ class Training:
         validation: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
         on_epoch: OnEpoch,
     ) -> FitResult:
+        if isinstance(own := self.config, OwnConfig):
+            fitted = fit_own(
+                rows,
+                validation,
+                config=own,
+                seed=self.seed,
+                log_columns=np.array(self.spec.is_log),
+                output_scales=np.array(self.spec.output_scales),
+                on_epoch=on_epoch,
+            )
+            return cast("FitResult", fitted)
         return fit(
             *rows,
             validation,

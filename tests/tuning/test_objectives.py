@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import subprocess
 import sys
 import time
@@ -213,3 +214,18 @@ def test_nothing_is_lost_or_doubled_by_kills(root: Path) -> None:
     assert len({one.info.run_id for one in ended}) == N_TRIALS
     assert {one.info.status for one in ended} == {"FINISHED"}
     assert n_kills >= 3, "too few to say something"
+
+
+def test_the_page_says_what_works(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "own-objective.md").read_text("utf-8")
+    error, _, plan = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    (profile,) = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
+    (root / "mine.py").write_text(f"{error}\n\n{plan}", "utf-8")
+    (root / "my.toml").write_text(profile, "utf-8")
+    path = [*sys.path]
+    for words in (["mine:error"], ["mine:plan", "--values", "error", "seconds", "--profile", "my.toml"]):
+        assert main(["tune", "--objective", *words, "--trials", "3"]) == 0
+    sys.path[:] = path
+    out = capsys.readouterr().out
+    assert "error: best of 3 trials" in out
+    assert "plan: Pareto set of" in out
