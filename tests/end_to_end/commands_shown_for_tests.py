@@ -28,6 +28,7 @@ WHY_NOT = {
     r"--write (fmu|onnx|csv) ": "the page of these lines is run as a whole",
     r" --experiment ": "tests/cli/test_cli_experiments.py types them for a case with experiments",
     r"(?i)crauste|cells.yaml": "tests/cli/test_petab.py reads problems",
+    r"--values room.ssv$": "tests/cli/test_system.py gives a new case such values",
     r"--output TAir": "names variables of an FMU that is not there",
     r"--objective |^studies (status|best) error$": "tests/tuning/test_objectives.py types the page's lines",
     r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
