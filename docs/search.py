@@ -19,10 +19,9 @@ PAGE = 0.4
 WEIGHTS = {
     "questions.": 1.5,
     **dict.fromkeys(("reference/", "repository/", "index.", "paper."), 0.4),
-    "glossary.": 0.7,
 }
 """Of pages whose address begins so. Some name everything, and the answer is mostly on another page."""
-GLOSSARY = "glossary.html"
+GLOSSARY, MEANING = "glossary.html", "meaningofaword"
 OTHER_WORDS = 3.0
 """Weight of words that mean the same; that of the text is 1."""
 SAME = (
@@ -83,7 +82,7 @@ def on_post_build(config: Any) -> None:
         entry["boost"] = weight * (1.0 if section else PAGE) * entry.get("boost", 1.0)
         words = other_words(f"{entry['title']} {entry['text']}")
         # `search_words.js` asks for this word where one wants to know what a word means.
-        entry["words"] = " ".join([*words, *["glossary"] * (page == GLOSSARY)])
+        entry["words"] = " ".join([*words, *[MEANING] * (page == GLOSSARY and bool(section))])
     file.write_text(json.dumps(index, ensure_ascii=False, separators=(",", ":")), "utf-8")
 
 

@@ -21,7 +21,7 @@ function inWords(query) {
   const asked = kept.length ? kept : words;
   if (!asked.length) return query;
   const whole = asked.map(word => `${stem(word)}^10`);
-  if (ASKS_MEANING.test(query)) whole.push("glossari^30");
+  if (ASKS_MEANING.test(query)) whole.push(`${stem("meaningofaword")}^30`);
   return [...whole, asked.at(-1).slice(0, BEGINNING)].join(" ");
 }
 

@@ -387,7 +387,7 @@ def _joined(
     Args:
         space: Parameters of all experiments.
         cases: The experiments' own cases by name.
-        read: Which of them.
+        read: The experiments to join, in their order.
         columns: Place of every parameter among those of all, by experiment and name.
     """
     members = [cases[one.name] for one in read]

@@ -61,7 +61,7 @@ class ComparedSize:
         first: What the first label came to; None without a complete trial.
         second: What the second label came to; None likewise.
         better: The label that is better beyond the noise; "" where that is not known, or neither is.
-        verdict: The same in words.
+        verdict: Which label is better, in words.
     """
 
     n_train: int

@@ -112,7 +112,7 @@ def exponentials_adjoint(
 
     Args:
         a: As in `exponentials`.
-        step: The same.
+        step: As in `exponentials`. [s]
         series: As it left them.
         doubled: As it left them.
         by_exponential: Slopes by the exponentials; overwritten. Shape (s, s, n).
@@ -195,7 +195,7 @@ def discrete_adjoint(
 
     Args:
         doubled: As in `discrete`.
-        b: The same.
+        b: As in `discrete`.
         by_walk: Slopes by its exponential. Shape (r, s, s, n).
         by_gains: Slopes by its gains. Shape (r, c, s, n).
         by_exponential: Filled. Shape (s, s, r n).
@@ -262,8 +262,8 @@ def walk_adjoint(
 
     Args:
         exponential: As in `walk`.
-        inputs: The same.
-        pattern: The same.
+        inputs: As in `walk`.
+        pattern: As in `walk`.
         x: The states. Shape (m + 1, s, n).
         by_x: Slopes by each state as if it moved no later one; overwritten. Shape (m + 1, s, n).
         by_exponential: Slopes by E are added. Shape (r, s, s, n).

@@ -33,7 +33,7 @@ class JoinedStore(SimulationStore):
 
         Args:
             file: Where the names of the stores lie.
-            stores: Those of the experiments.
+            stores: The open stores of all experiments.
             layout: How their rows become one.
         """
         self.file = Path(file)

@@ -69,8 +69,8 @@ def calibrate_two_phase(
         polishing: The optimizer of phase 2. Screened points beyond the first count among its calls.
         seed: Seed of the screening.
         n_train: Physical simulations that trained the surrogate, for the ledger.
-        n_validation: The same for validation.
-        n_test: The same for testing.
+        n_validation: Physical simulations of the validation set, for the ledger.
+        n_test: Physical simulations of the test set, for the ledger.
         prior: What is known about the parameters beforehand, or None; both phases use it.
         layout: Which parameters act in which experiment; None for one experiment.
         rows: What the physical model has answered already, for optimizers that learn from it.

@@ -119,10 +119,10 @@ def shortest_product(products: Products, theta: FloatArray, value: float, amount
     """Return the shortest product, an amount or its opposite times parameters, that has a value at one point.
 
     Args:
-        products: Those of the box.
+        products: The products of the parameters.
         theta: The point's parameters. Shape (p,). [per parameter]
-        value: What is explained.
-        amount: What parameters are multiplied with.
+        value: The value that the product has to have.
+        amount: The factor of the product.
 
     Returns:
         The formula, None where no product is as exact as coefficients are.
@@ -143,7 +143,7 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     """Explain values exactly by one product, or by the sum of two or three or its reciprocal.
 
     Args:
-        products: Those of the box.
+        products: The products of the parameters.
         theta: The rows' parameters. Shape (n, p). [per parameter]
         values: The coefficient there. Shape (n,).
 

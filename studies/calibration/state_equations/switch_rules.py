@@ -34,7 +34,7 @@ class _Change(NamedTuple):
     Attributes:
         waited_s: Time since the change before, NaN where that is not known. [s]
         before: States, inputs, 1 and 0 at the output before. Shape (s + q + 2,).
-        there: The same at the change.
+        there: States, inputs, 1 and 0 at the change. Shape (s + q + 2,).
     """
 
     waited_s: float
