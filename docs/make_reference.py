@@ -27,7 +27,7 @@ from simulation import case_file  # noqa: E402
 from studies import comparison, profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
-from studies.results import stage_results  # noqa: E402
+from studies.results import choice, planned, profiled, stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
 PACKAGES = ("simulation", "pelsvae", "studies")
@@ -76,6 +76,12 @@ DOCUMENTS = {
     "An entry of parameters of an uncertainty": stage_results.Known,
     "sample of an uncertainty": stage_results.SampleFound,
     "ledger of an uncertainty": stage_results.Cost,
+    "Second entry of stages (uncertainty --profiles)": profiled.Profiles,
+    "An entry of parameters of profiles": profiled.Profiled,
+    "An entry of stages (choose)": choice.Choice,
+    "An entry of structures": choice.Structure,
+    "An entry of stages (next)": planned.Planned,
+    "An entry of candidates": planned.Candidate,
     "An entry of stages (predict)": stage_results.Prediction,
 }
 

@@ -22,7 +22,7 @@ class ChoiceResult(Result[Choice]):
 
     @property
     def chosen(self) -> str:
-        """Name of the case that the data choose; empty where they do not tell."""
+        """Name of the case that the data choose; empty where they do not decide."""
         return self.outcome.result.chosen
 
     @property
@@ -136,7 +136,7 @@ def next_experiment(
     tracking: str | None = None,
     console: Console | None = None,
 ) -> NextResult:
-    """Rank measurements by what they would tell about the parameters, as `studies next`.
+    """Rank measurements by what they would show of the parameters, as `studies next`.
 
     Args:
         case: Name, file or folder of a case, a `Case` that was read, or a `Problem`.

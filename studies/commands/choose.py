@@ -12,7 +12,7 @@ equations, and no simulation; else a Gaussian process and two simulations per pa
 
 It recommends a structure whose probability is at least 75 % and whose BIC is the least, or whose probability
 is at least 95 %, unless another one predicts left-out parts clearly better. Else it says that the data do
-not tell. Structures count as equally probable before, and
+not decide. Structures count as equally probable before, and
 parameters as equally probable within their bounds.
 
 Results: mlruns/results/<label of the first case>/choose-<other cases>.json, a run in MLflow with one below

@@ -1,4 +1,4 @@
-"""Show which measurement would tell most about the parameters.
+"""Show which measurement would show most of the parameters.
 
 What happens: the command takes a finished calibration. From the slopes of the outputs it computes which
 half widths the 90 % intervals are expected to have after each candidate was measured, too. State equations

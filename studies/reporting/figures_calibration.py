@@ -300,7 +300,7 @@ def planned_figure(found: Planned) -> Figure:
     x = Axis("half of the 90 % interval, as a share of the range [1]", {"type": "log"})
     panel = Panel("half widths", x, Axis("", is_of_names=True), series, 22 * len(names))
     caption = "Expected by the linearised model; to the left is better."
-    return Figure("What the next experiment would tell", (panel,), caption=caption)
+    return Figure("What the next experiment would show", (panel,), caption=caption)
 
 
 def profile_figure(found: Profiles) -> Figure:

@@ -371,7 +371,7 @@ def choice_sentences(found: Choice, unit: str) -> list[str]:
     said = [
         f"Chosen: {found.chosen}; {found.reason}."
         if found.chosen
-        else f"The data do not tell: {found.reason}."
+        else f"The data do not decide: {found.reason}."
     ]
     if not found.is_explained:
         said.append(
@@ -416,7 +416,7 @@ def profile_sentences(found: Profiles) -> list[str]:
 
 
 def planned_sentences(found: Planned) -> list[str]:
-    """Say which experiment would tell most, and what that assumes.
+    """Say which experiment would show most, and what that assumes.
 
     Args:
         found: The candidates.

@@ -352,7 +352,7 @@ def structures_table(found: Choice, unit: str) -> Table:
     columns = (
         Column("structure"), number("parameters"), number("determined", spare=1), number("error", square),
         number("AIC", spare=2), number("BIC"), number("log evidence"), number("probability"),
-        number("left-out error", square), number("white", spare=2), Column("restricts", spare=3),
+        number("left-out error", square), number("white", spare=2), Column("larger", spare=3),
         number("p", spare=3), number("calls", spare=1),
     )  # fmt: skip
     least = [min(getattr(one, key) for one in found.structures) for key in ("aic", "bic")]
@@ -361,7 +361,7 @@ def structures_table(found: Choice, unit: str) -> Table:
             one.case, one.n_parameters, len(one.determined), significant(one.mse, 4),
             *(f"+{value - low:.1f}" for value, low in zip((one.aic, one.bic), least, strict=True)),
             f"{one.log_evidence:.1f}", percent(one.probability), significant(one.left_out_mse, 4),
-            significant(one.white, 2), one.larger or MISSING, significant(one.restriction, 2),
+            significant(one.white, 2), one.larger or MISSING, significant(one.ratio_p, 2),
             one.n_calls + one.n_judged,
         ]
         for one in found.structures
@@ -410,5 +410,5 @@ def planned_table(found: Planned) -> Table:
         ]
         for one in found.candidates
     ]  # fmt: skip
-    title = "What the next experiment would tell, the best first"
+    title = "What the next experiment would show, the best first"
     return Table(title, columns, rows, None if found.candidates[0].excluded else 0)

@@ -25,7 +25,7 @@ class Structure:
         left_out: The same of each block. Length b. [first output's unit squared]
         white: Probability of residuals as correlated as its own if they were white. [1]
         larger: The smallest structure that has all its parameters and more; "" for none.
-        restriction: Probability of a likelihood ratio as large as that of the two if this one were right;
+        ratio_p: Probability of a likelihood ratio as large as that of the two if this one were right;
             None without a larger one. [1]
         n_calls: Simulations of its calibration.
         n_judged: Simulations that its judgement took.
@@ -46,7 +46,7 @@ class Structure:
     left_out: tuple[float, ...]
     white: float
     larger: str
-    restriction: float | None
+    ratio_p: float | None
     n_calls: int
     n_judged: int
     by_equations: bool
@@ -58,7 +58,7 @@ class Choice:
 
     Attributes:
         structures: In the order in which they were named.
-        chosen: Name of the case that the data choose; "" where they do not tell.
+        chosen: Name of the case that the data choose; "" where they do not decide.
         reason: Why, in words.
         noise: What the residuals of all are taken for: those of the structure of least error.
         noise_of: Name of the case of that structure.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Candidate:
-    """An experiment that might be made, and what it would tell.
+    """An experiment that might be made, and what it would show.
 
     Attributes:
         name: Its name.

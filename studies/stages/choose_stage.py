@@ -196,7 +196,7 @@ def _compared(
             left_out_mse=float(np.mean(losses[i])), left_out=tuple(losses[i].tolist()),
             white=whiteness(one.problem.measurement, one.y),
             larger="" if larger is None else tasks[larger].case.name,
-            restriction=None if larger is None
+            ratio_p=None if larger is None
             else exceeded(deviances[i] - deviances[larger], len(names[larger]) - p),
             n_calls=calibrations[i].result.n_calls, n_judged=one.n_simulated, by_equations=one.by_equations,
         )  # fmt: skip
@@ -210,7 +210,7 @@ def _compared(
 
 
 def decided(structures: Sequence[Structure]) -> tuple[str, str]:
-    """Return the case that the data choose, "" where they do not tell, and why in words.
+    """Return the case that the data choose, "" where they do not decide, and why in words.
 
     The evidence decides, unless another structure predicts left-out blocks clearly better: evidence depends
     on the bounds, predictions do not.

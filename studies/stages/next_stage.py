@@ -1,4 +1,4 @@
-"""The stage that ranks experiments by what they would tell about the parameters."""
+"""The stage that ranks experiments by what they would show of the parameters."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -223,7 +223,7 @@ def _equations_there(model: JudgedModel, present: Offer, case: Case) -> StateEqu
             isinstance(one, float | int) and not isinstance(one, bool) for pair in changed for one in pair
         ):
             return None
-        pairs = [(float(here), float(elsewhere)) for here, elsewhere in changed]
+        pairs = [(float(here), float(then)) for here, then in changed]
         follower = equations.in_experiment(there, pairs)
         return None if follower is None or follower[1] else follower[0]
     # What an input does is unknown where it rests, unless it rests there, too.

@@ -224,7 +224,7 @@ def main() -> None:
             f"{seed}: {found['truth']}",
             f"{least:.1f} ({nearest})",
             "yes" if least >= SEPARATED else "no",
-            found["chosen"] or "the data do not tell",
+            found["chosen"] or "the data do not decide",
             " ".join(f"{p:.2f}" for p in found["probability"].values()),
             " ".join(f"+{value:.1f}" for value in bics - bics.min()),
             str(found["calls"]),

@@ -68,7 +68,7 @@ def test_blocks_are_predicted_without_having_been_seen() -> None:
         assert loss == pytest.approx(np.mean((level + slope * time[block] - y[block]) ** 2), rel=1e-3)
 
 
-def test_white_residuals_are_told_from_others() -> None:
+def test_white_residuals_differ_from_others() -> None:
     rng = np.random.default_rng(9)
     time, zero = np.arange(400.0), np.zeros((400, 1))
     white = rng.standard_normal(400)
@@ -129,5 +129,5 @@ def _structure(name: str, probability: float, *, bic: float, left_out: tuple[flo
     return Structure(
         case=name, label=name, n_parameters=2, determined=(), mse=1.0, aic=bic, bic=bic, log_evidence=0.0,
         log_evidence_error=0.0, probability=probability, left_out_mse=float(np.mean(left_out)),
-        left_out=left_out, white=0.5, larger="", restriction=None, n_calls=5, n_judged=0, by_equations=True,
+        left_out=left_out, white=0.5, larger="", ratio_p=None, n_calls=5, n_judged=0, by_equations=True,
     )  # fmt: skip

@@ -19,6 +19,7 @@ WHY_NOT = {
     r"^studies (run|tune|simulate)( --parallel 4| room| office| office-recorded --seed 3)?$": "all sizes",
     r"^studies run office --n-train 32 64 --trials 12$": "made this project",
     r"office-recorded|^studies import-recording": "needs the recording; tests/paper and tests/cli use it",
+    r"^studies (choose|next) ": "tests/cli/test_cli_planning.py types such lines for the wall",
     r"^studies uncertainty( |$)": "takes 10 s; tests/cli ask how sure calibrations are",
     r"--simulations \d+": "tunes several sizes; tests/cli/test_budget.py runs it for the wall",
     r"--profile refined.toml$": "networks of that form were trained for this project",

@@ -1,4 +1,4 @@
-"""What a measurement that is not yet taken would tell: expected half widths of the intervals.
+"""What a measurement that is not yet taken would show: expected half widths of the intervals.
 
 Near a point, residuals are linear: with their slopes J, in noise, a measurement adds the information J' J to
 that of the present one, of the bounds (12, see identifiability.py) and of the priors. Parameters that a new
