@@ -29,6 +29,7 @@ WHY_NOT = {
     r" --experiment ": "tests/cli/test_cli_experiments.py types them for a case with experiments",
     r"(?i)crauste|cells.yaml": "tests/cli/test_petab.py reads problems",
     r"--output TAir": "names variables of an FMU that is not there",
+    r"--profile own.toml$|^studies best office-own$": "tests/tuning/test_own_surrogates.py uses the classes",
     r"--objective |^studies (status|best) error$": "tests/tuning/test_objectives.py types the page's lines",
     r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
     r"^studies tune --profile my.toml$": "`--dry-run` reads the profile",
