@@ -31,6 +31,7 @@ WHY_NOT = {
     r"(?i)crauste|cells.yaml": "tests/cli/test_petab.py reads problems",
     r"--values room.ssv$": "tests/cli/test_system.py gives a new case such values",
     r"--output TAir": "names variables of an FMU that is not there",
+    r"--profile own.toml$|^studies best office-own$": "tests/tuning/test_own_surrogates.py uses the classes",
     r"--objective |^studies (status|best) error$": "tests/tuning/test_objectives.py types the page's lines",
     r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
     r"^studies tune --profile my.toml$": "`--dry-run` reads the profile",
