@@ -1,6 +1,7 @@
 """The tables of results, for the terminal and the page alike; every cell is written here."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -211,6 +212,7 @@ def parameters_table(case: "Case", found: Calibration) -> Table:
         Column(""),
     )
     places = space.to_unit(found.point)
+    in_box = replace(space, constraints=(), sums=()).to_unit(found.point)
     rows = [
         [
             one.name,
@@ -220,9 +222,9 @@ def parameters_table(case: "Case", found: Calibration) -> Table:
             _six(found.theta[one.name]),
             _six(one.lower),
             _six(one.upper),
-            _note(found, one.name, float(u)),
+            _note(found, one.name, float(u), is_constrained=bound_at(u) != bound_at(box)),
         ]
-        for one, u in zip(space.parameters, places, strict=True)
+        for one, u, box in zip(space.parameters, places, in_box, strict=True)
     ]
     how = "adaptively" if found.is_adaptive else f"from {count(found.n_train, 'training simulation')}"
     return Table(f"Parameters, calibrated {how}", columns, rows)
@@ -233,8 +235,8 @@ def _six(value: float | None) -> str:
     return MISSING if value is None else f"{value:.6g}"
 
 
-def _note(found: Calibration, name: str, u: float) -> str:
-    """Say what judges a calibrated value that lies at `u` between its bounds."""
+def _note(found: Calibration, name: str, u: float, *, is_constrained: bool) -> str:
+    """Say what judges a calibrated value that lies at `u` between its bounds, or those of a constraint."""
     judged, note = found.determined_by_data, ""
     if judged is not None and name in judged.open:
         note = f"not determined: ±{percent(judged.spread[name])} of the range"
@@ -243,7 +245,8 @@ def _note(found: Calibration, name: str, u: float) -> str:
         note = "the error hardly depends on it"
     elif bound := bound_at(u):
         # What others compensate goes to any bound: wider ones would not end that.
-        note = f"at the {bound} bound; {note}" if note else f"at the {bound} bound: widen it?"
+        place = "at a constraint" if is_constrained else f"at the {bound} bound"
+        note = f"{place}; {note}" if note else place + ": widen it?" * (not is_constrained)
     known = None if found.prior is None else found.prior.parameters.get(name)
     if known is None:
         return note
