@@ -293,6 +293,18 @@ def test_fig_7_is_that_of_its_files() -> None:
             assert agrees(stated, value), (row[0], name)
 
 
+def test_table_3_is_that_of_its_file() -> None:
+    items = json.loads((PAPER / "office-recorded.json").read_text(encoding="utf-8"))["items"]
+    n_checked = 0
+    for _, published, stated in tables(DOCS / "paper.md", "| the paper")[0]:
+        for n_calls, mse in re.findall(r"^([\d,]+) calls, ([\d.]+) K²$", published):
+            paper = {"n_calls": int(n_calls.replace(",", "")), "mse": float(mse)}
+            rows = [one for one in items["table3"]["numbers"]["rows"].values() if one["paper"] == paper]
+            assert stated in {f"{row['n_calls']:,} calls, {row['mse']:#.3g} K²" for row in rows}
+            n_checked += 1
+    assert n_checked == 3
+
+
 def test_calls_of_the_paper_s_method_are_those_of_table_4() -> None:
     _, sizes = read_sizes(PAPER / "table4", table4.SIZE)
     counted = [sizes[0].n_train + one.calls_to(USUAL_MSE) for one in sizes[0].calibrations]
