@@ -26,7 +26,7 @@ from studies.words.console import Console  # noqa: E402
 
 CASES = {
     "wall": (("G12", "C1"), {"GIn": 63.8, "G23": 7.52, "C2": 2.54e6, "C3": 5.57e5, "T2Start": 285.645}),
-    "vanderpol": (("mu", "period"), {"amplitude": 2.0, "xStart": 1.0}),
+    "vanderpol": (("mu", "period"), {"amplitude": 3.2, "xStart": -0.6}),
 }
 
 
