@@ -5,15 +5,15 @@ window, uncertainties and weights.
 
 What happens: the command calibrates what is not calibrated yet, as studies calibrate does, mostly with five
 to ten simulations where state equations hold. Then it judges all structures with one noise model, that of
-the structure of least error. It shows AIC, BIC, the Bayesian evidence over bounds and priors, the error on
-experiments or parts of the time that a calibration did not see, whether the residuals are white, and, of a
-structure whose parameters another one has too, the likelihood ratio of the two. All this takes state
-equations, and no simulation; else a Gaussian process and two simulations per parameter.
+the structure of least error. It shows AIC, BIC, the Bayesian evidence over bounds and priors, and the error
+on experiments or parts of the time that a calibration did not see. It says whether the residuals are white.
+Of a structure whose parameters another one has too, it shows the likelihood ratio of the two. All this takes
+state equations and no simulation; else a Gaussian process and two simulations per parameter.
 
 It recommends a structure whose probability is at least 75 % and whose BIC is the least, or whose probability
-is at least 95 %, unless another one predicts left-out parts clearly better. Else it says that the data do
-not decide. Structures count as equally probable before, and
-parameters as equally probable within their bounds.
+is at least 95 %. If another one predicts left-out parts clearly better, or neither holds, it says that the
+data do not decide. Structures count as equally probable before, and parameters as equally probable within
+their bounds.
 
 Results: mlruns/results/<label of the first case>/choose-<other cases>.json, a run in MLflow with one below
 it for each structure, a part of the page by studies report.

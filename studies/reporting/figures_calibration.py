@@ -309,12 +309,13 @@ def profile_figure(found: Profiles) -> Figure:
     Args:
         found: The profiles.
     """
-    x, highest = Axis("from the lower to the upper bound [1]", BETWEEN_BOUNDS), 2.0 * found.limit
-    panels = []
+    panels, highest = [], 2.0 * found.limit
     for name, at, rises in zip(found.parameters, found.at, found.rises, strict=True):
-        limit = Series("limit of the interval", SCREENED, [0.0, 1.0], [found.limit] * 2)
-        inside = np.minimum(rises[np.isfinite(rises)], highest)
-        line = Series("profile", POLISHED, at[np.isfinite(at)], inside, style={"point": True})
+        at, rises = at[np.isfinite(at)], np.minimum(rises[np.isfinite(at)], highest)
+        # A label of its own: panels of one label zoom together.
+        x = Axis(f"{shortened(name)} between its bounds [1]", {"domain": [at[0], at[-1]], "nice": False})
+        limit = Series("limit of the interval", SCREENED, at[[0, -1]], [found.limit] * 2)
+        line = Series("profile", POLISHED, at, rises, style={"point": True})
         y = Axis("rise of −2 log L [1]", {"domain": [0.0, highest]})
         panels.append(Panel(shortened(name), x, y, [limit, line], 120, has_legend=False))
     caption = "Others at their best; points above the picture lie at its edge. Blue below orange: within."

@@ -429,7 +429,7 @@ def planned_sentences(found: Planned) -> list[str]:
     if best.own:
         said.append(f"It has values of its own of {listed(best.own)}, which are taken for unknown.")
     over = count(found.n_points, "equally good parameter set")
-    where = "at the calibrated point" if found.n_points == 1 else f"over {over}"
+    where = "at the calibrated point" if found.n_points == 1 or not best.by_equations else f"over {over}"
     said.append(
         f"Expected {where}, by {count(found.n_calls, 'simulation')}, if the model is right, noise stays as "
         "it is, and residuals are linear within the intervals."

@@ -38,7 +38,7 @@ class Offer:
         columns: Its parameters among those of all. Shape (q,).
         is_own: Of which of all parameters it has a value of its own. Shape (p,).
         begins_anew: Whether it begins at another time than the present recording.
-        block: Keys of its [[experiments]] table.
+        block: Keys of its [[experiments]] table; a comment where it needs no table.
         course: Name of an input that it needs, with times [s] and values, shape (m, 2); None for none.
     """
 
@@ -146,7 +146,11 @@ def _held_out(case: Case) -> Iterator[Offer]:
         of_all = [other.parameter_space.names[k] for k in part.parameters] if other else []
         columns = np.array([names.index(name) for name in of_all])
         none = np.zeros(len(names), dtype=np.bool_)
-        yield Offer(part.name, f"held-out experiment {part.name}", single, columns, none, False, "")
+        what, how = (
+            f"held-out experiment {part.name}",
+            f"# Remove held_out = true of the experiment {part.name}.",
+        )
+        yield Offer(part.name, what, single, columns, none, False, how)
 
 
 def _of_input(present: Offer, text: str, seed: int) -> Iterator[Offer]:
@@ -216,7 +220,9 @@ def _of_output(present: Offer, text: str) -> Offer:
     )
     measurement = replace(case.measurement, outputs=(measured,), time=time)
     other = replace(case, settings=settings, measurement=measurement)
-    block = f'# [[outputs]] with name = "{name}" and uncertainty = {uncertainty:g} (in the FMU\'s unit)'
+    block = (
+        f'# Add [[outputs]] with name = "{name}" and uncertainty = {uncertainty:g}, in the unit of the FMU.'
+    )
     label = re.sub(r"[^A-Za-z0-9_-]", "-", name)
     none = np.zeros_like(present.is_own)
     return replace(present, name=label, what=f"{name} measured too", case=other, is_own=none, block=block)

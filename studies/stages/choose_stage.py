@@ -78,7 +78,10 @@ def check_same_measurement(cases: Sequence[Case]) -> None:
                 f"{pair} have {len(cases[0].outputs)} and {len(other.outputs)} outputs; {_REMEDY}"
             )
         for mine, its in zip(cases[0].outputs, other.outputs, strict=True):
-            both = [vars(one) | {"samples": digest_of("", *_arrays(one))} for one in (mine, its)]
+            both = [
+                vars(one) | {"samples": digest_of(repr(one.samples.interval), *_arrays(one))}
+                for one in (mine, its)
+            ]
             if differing := [key for key in _COMPARED if repr(both[0][key]) != repr(both[1][key])]:
                 raise InputError(f"{pair}: outputs[{mine.name}] and outputs[{its.name}] have other "
                                  f"{differing[0]}; {_REMEDY}")  # fmt: skip

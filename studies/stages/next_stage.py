@@ -282,7 +282,8 @@ def _error(
 def _write(task: Task, best: Candidate, offer: Offer, block: Path) -> str:
     """Write the tables of the best candidate, and return the place of the inputs that it needs."""
     lines = [f"# The next experiment of {task.label}, for its case file: {best.what}."]
-    if not task.case.experiments:
+    needs_table = not offer.block.startswith("#")
+    if needs_table and not task.case.experiments:
         begin, end = task.case.window_d
         start = task.case.scenario.time_communication[0] / DAY_S
         lines += [
@@ -292,7 +293,8 @@ def _write(task: Task, best: Candidate, offer: Offer, block: Path) -> str:
         ]
         lines += [f"time = {{ window_d = [{begin:.10g}, {end:.10g}], start_d = {start:.10g} }}", ""]
     lines += [f"# {name}: add per_experiment = true to its [[parameters]]." for name in best.own]
-    lines += ["[[experiments]]", f'name = "{best.name}"', *filter(None, [offer.block])]
+    lines += ["[[experiments]]", f'name = "{best.name}"'] if needs_table else []
+    lines += [offer.block]
     place = ""
     if offer.course is not None:
         file = block.with_name(f"{best.name}.csv")
