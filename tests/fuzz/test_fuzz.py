@@ -78,7 +78,8 @@ def packed(description: bytes) -> bytes:
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w") as archive:
         for name, content in (members() | {"modelDescription.xml": description}).items():
-            archive.writestr(name, content)
+            # Else it would hold the time of day.
+            archive.writestr(zipfile.ZipInfo(name), content)
     return whole.getvalue()
 
 
