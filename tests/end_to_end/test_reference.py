@@ -50,8 +50,8 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert program.read_text("utf-8").startswith((ROOT / "docs" / "search_words.js").read_text("utf-8"))
     index = json.loads((tmp_path / "site" / "search" / "search_index.json").read_text("utf-8"))
     sections = {entry["location"]: entry for entry in index["docs"]}
-    assert "freeze" in sections["questions.html#my-fmu-crashes-or-hangs"]["words"]
-    assert "glossary" in sections["glossary.html#trial"]["words"]
+    assert "freeze" in sections["questions.html#my-fmu-crashes-hangs-or-returns-nan"]["words"]
+    assert "meaningofaword" in sections["glossary.html#trial"]["words"]
     # The benchmark of the search names sections that exist.
     asked = json.loads((ROOT / "data" / "benchmarks" / "site_search.json").read_text("utf-8"))
     assert not {answer.removesuffix("*") for one in asked for answer in one["answers"]} - sections.keys()
