@@ -73,8 +73,3 @@ class Choice:
     noise_of: str
     blocks: str
     is_explained: bool
-
-    @property
-    def has_failures(self) -> bool:
-        """Whether there is something to simulate again: there never is."""
-        return False

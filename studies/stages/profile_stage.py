@@ -95,7 +95,13 @@ def _followed(
             # Equations are exact, or they are none: more rows do not change them.
             if is_confirmed or emulator is not None or n_rounds == ROUNDS:
                 break
-    theta = space.from_unit(every.points.reshape(-1, p)).reshape(2, p, p)
+    points = every.points.copy()
+    if emulator is None:
+        # Roots rise about straight: from what was simulated an end moves to where its root is the limit.
+        share = np.clip(LIMIT / np.sqrt(np.maximum(rise, 0.25 * LIMIT**2)), 0.5, 2.0)
+        moved = every.best + (every.ends - every.best) * np.where(every.is_open, 1.0, share)
+        points[:, np.arange(p), np.arange(p)] = np.clip(moved, 0.0, 1.0)
+    theta = space.from_unit(points.reshape(-1, p)).reshape(2, p, p)
     low, high = np.diagonal(theta, axis1=1, axis2=2)
     travelled = np.abs(every.points - every.best)
     own = np.diagonal(travelled, axis1=1, axis2=2)

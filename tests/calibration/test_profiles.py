@@ -31,8 +31,11 @@ def brute_force(measured: FloatArray, j: int, n: int = 501) -> tuple[float, floa
         u = np.full((n, 2), value)
         u[:, 1 - j] = grid
         least[k] = np.mean((decay(u) - measured) ** 2, axis=1).min()
-    inside = grid[(least - least.min()) * N_TIMES / NOISE**2 <= LIMIT**2]
-    return float(inside[0]), float(inside[-1])
+    roots = np.sqrt((least - least.min()) * N_TIMES) / NOISE
+    lowest = int(np.argmin(roots))
+    # Both halves rise, so that a crossing between two values of the grid is interpolated.
+    low = np.interp(LIMIT, roots[lowest::-1], grid[lowest::-1])
+    return float(low), float(np.interp(LIMIT, roots[lowest:], grid[lowest:]))
 
 
 @pytest.mark.parametrize("seed", [3, 4])

@@ -22,7 +22,7 @@ from studies.stages.choose_stage import decided
 
 M = 60
 SPREAD = 0.5
-"""Largest error of a logarithm of evidence: from seed to seed 150 particles spread by 0.3."""
+"""Largest error of a logarithm of evidence: from seed to seed 300 particles spread by 0.3."""
 
 
 @pytest.mark.parametrize("n_weak", [0, 2])

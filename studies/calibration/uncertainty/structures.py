@@ -27,8 +27,8 @@ from studies.calibration.uncertainty.sample import WIDER
 N_BLOCKS = 5
 """Parts of the time that are left out in turn where there are not as many experiments."""
 
-N_PARTICLES, N_BRIDGED = 150, 20
-"""Particles of an evidence (600 spread by the same 0.3 to 0.5 from seed to seed), and iterations."""
+N_PARTICLES, N_BRIDGED = 300, 20
+"""Particles of an evidence (600 spread by as much, 0.3 to 0.5 from seed to seed), and iterations."""
 
 MOST_LAGS = 10
 """Lags of the test of white residuals, at most a fifth of the samples (Ljung and Box 1978)."""
