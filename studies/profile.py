@@ -141,8 +141,8 @@ class TuningBudget(TrialsBudget):
     Args:
         n_trials: trials per training-set size, in total.
         surrogate: "state-space" (its decoder knows the inputs), "refined" (networks with the settings that
-            were found to help), "paper" (networks as published), "pca-gp" (PCA and Gaussian processes), or a
-            class of an installed package as "module:Class".
+            were found to help), "paper" (networks as published) or "pca-gp" (PCA and Gaussian processes).
+            "module:Class" names a class of an installed package.
         max_epochs: limit of one training; None takes the surrogate's.
         patience: epochs without a better validation error; None takes the surrogate's.
         device: where the trials are trained; "auto" takes CUDA where there is some.
