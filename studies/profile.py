@@ -27,7 +27,7 @@ PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
 Sample = Annotated[int, Field(ge=2, le=1_000_000)]
 T = TypeVar("T")
-SurrogateName = Literal["state-space", "refined", "paper", "pca-gp"] | Annotated[str, Field(pattern=":")]
+SurrogateName = Annotated[str, Field(pattern=r"^(state-space|refined|paper|pca-gp|[\w.]+:\w+)$")]
 
 
 @dataclass(frozen=True, config=STRICT)
