@@ -27,7 +27,7 @@ PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
 Sample = Annotated[int, Field(ge=2, le=1_000_000)]
 T = TypeVar("T")
-SurrogateName = Literal["state-space", "refined", "paper", "pca-gp"] | Annotated[str, Field(pattern=":")]
+SurrogateName = Annotated[str, Field(pattern=r"^(state-space|refined|paper|pca-gp|[\w.]+:\w+)$")]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -141,8 +141,8 @@ class TuningBudget(TrialsBudget):
     Args:
         n_trials: trials per training-set size, in total.
         surrogate: "state-space" (its decoder knows the inputs), "refined" (networks with the settings that
-            were found to help), "paper" (networks as published), "pca-gp" (PCA and Gaussian processes).
-            "module:Class" is a class of an installed package.
+            were found to help), "paper" (networks as published) or "pca-gp" (PCA and Gaussian processes).
+            "module:Class" names a class of an installed package.
         max_epochs: limit of one training; None takes the surrogate's.
         patience: epochs without a better validation error; None takes the surrogate's.
         device: where the trials are trained; "auto" takes CUDA where there is some.

@@ -1,6 +1,7 @@
 """A study of a user's objective: what it is declared with, and what its trials have come to."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -78,8 +79,8 @@ class TunedObjective:
             "trial": trial.number,
             "state": _state(trial),
             "params": dict(trial.params),
-            "values": dict(zip(self.spec.values, values_of(trial), strict=False)),
-            "constraints": dict(trial.constraints),
+            "values": dict(zip(self.spec.values, map(_finite, values_of(trial)), strict=False)),
+            "constraints": {name: _finite(value) for name, value in trial.constraints.items()},
             "run_id": trial.user_attrs.get("mlflow_run_id"),
             "wall_s": trial.duration.total_seconds() if trial.duration else None,
             "reason": trial.user_attrs.get("reason", ""),
@@ -95,6 +96,11 @@ class TunedObjective:
 def values_of(trial: "FrozenTrial") -> Sequence[float]:
     """Return what a trial came to; nothing where it has come to nothing."""
     return trial.values or ()
+
+
+def _finite(value: float) -> float | None:
+    """Return a number as JSON has it; a user may have added a trial of an infinite one through Optuna."""
+    return value if math.isfinite(value) else None
 
 
 def _state(trial: "FrozenTrial") -> str:
