@@ -17,6 +17,7 @@ from pelsvae.metrics import errors
 from pelsvae.surrogate import require_positive
 from simulation.errors import InputError
 from studies.installed import installed_class
+from studies.search_space import OwnConfig
 
 DESCRIPTION = "surrogate.json"
 METHODS = ("fit", "predict", "save", "load")
@@ -66,38 +67,6 @@ def own_defaults(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
     if unknown := [one for one in declared if one not in known]:
         raise InputError(f"tuning.search.{unknown[0]}: {name} has no such keyword; it has {', '.join(known)}")
     return {key: one.default for key, one in known.items() if one.default is not one.empty}
-
-
-@dataclass(frozen=True)
-class OwnConfig:
-    """The settings of one such surrogate.
-
-    Attributes:
-        name: Its class, as `module:Class`.
-        keywords: What it is made with, sorted by name.
-    """
-
-    name: str
-    keywords: tuple[tuple[str, Any], ...] = ()
-    regressor: ClassVar[str] = "own"
-    decoder: ClassVar[str] = ""
-    device: ClassVar[str] = "cpu"
-    n_threads: ClassVar[int] = 1
-    max_epochs: ClassVar[int] = 1
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a keyword."""
-        if name in (known := dict(self.__dict__.get("keywords", ()))):
-            return known[name]
-        raise AttributeError(name)
-
-    def replace(self, **changes: Any) -> "OwnConfig":
-        """Return a copy with some keywords changed."""
-        return OwnConfig(self.name, tuple(sorted({**self.to_dict(), **changes}.items())))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the keywords."""
-        return dict(self.keywords)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """The search space of a profile: which settings of the surrogate Optuna chooses, and from which values."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -141,6 +142,38 @@ PCA_GP_SPACE: SearchSpace = {
 def is_own(surrogate: str) -> bool:
     """Say whether a surrogate is a class of a user's, named as `module:Class`."""
     return ":" in surrogate
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnConfig:
+    """The settings of one such surrogate.
+
+    Attributes:
+        name: Its class, as `module:Class`.
+        keywords: What it is made with, sorted by name.
+    """
+
+    name: str
+    keywords: tuple[tuple[str, Any], ...] = ()
+    regressor: ClassVar[str] = "own"
+    decoder: ClassVar[str] = ""
+    device: ClassVar[str] = "cpu"
+    n_threads: ClassVar[int] = 1
+    max_epochs: ClassVar[int] = 1
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a keyword."""
+        if name in (known := dict(self.__dict__.get("keywords", ()))):
+            return known[name]
+        raise AttributeError(name)
+
+    def replace(self, **changes: Any) -> "OwnConfig":
+        """Return a copy with some keywords changed."""
+        return OwnConfig(self.name, tuple(sorted({**self.to_dict(), **changes}.items())))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keywords."""
+        return dict(self.keywords)
 
 
 def space_of(surrogate: str, declared: SearchSpace | None) -> SearchSpace:

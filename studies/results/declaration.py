@@ -15,10 +15,9 @@ import numpy as np
 from pelsvae.config import SurrogateConfig
 from simulation.arrays import digest_of
 from simulation.errors import InputError
-from studies.own_surrogate import OwnConfig
 from studies.paths import ProjectPaths, size_name
 from studies.results.saved import plain
-from studies.search_space import STRICT, SearchParameter, SearchSpace, default_point, is_own
+from studies.search_space import STRICT, OwnConfig, SearchParameter, SearchSpace, default_point, is_own
 
 ALIAS = "champion"
 """Of the best surrogate of a size, in MLflow's registry."""

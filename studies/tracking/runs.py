@@ -21,7 +21,6 @@ from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from simulation.record_file import read_json, with_checksum
 from simulation.write_gate import check_written
-from studies.own_surrogate import OwnSurrogate, holds_own, load_own
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.results.declaration import ALIAS, UNEXPLAINED, Declaration
 from studies.results.provenance import FILE
@@ -44,6 +43,7 @@ from studies.words.wording import difference_unit, setting
 if TYPE_CHECKING:
     from pelsvae.mean_surrogate import MeanSurrogate
     from pelsvae.surrogate import Surrogate
+    from studies.own_surrogate import OwnSurrogate
     from studies.results.trials import TrialView
     from studies.task import Task
 
@@ -315,6 +315,7 @@ def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate | MeanSurrogate | 
         InputError: the run has no weights, or they are damaged or out of reach.
     """
     from pelsvae import surrogate_files
+    from studies.own_surrogate import holds_own, load_own
 
     with tempfile.TemporaryDirectory(prefix="studies-surrogate-") as scratch:
         folder = runs.fetch(run_id, SURROGATE, Path(scratch))
@@ -350,6 +351,8 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     """
     import numpy as np
     import pandas as pd
+
+    from studies.own_surrogate import holds_own
 
     unit, client = difference_unit(spec.output_unit), runs.client
     usual = "PCA + GP" if spec.surrogate == "pca-gp" else "PELS-VAE"

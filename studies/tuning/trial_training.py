@@ -20,7 +20,7 @@ from pelsvae.linear_network.drive import Drive
 from pelsvae.metrics import errors
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
-from studies.own_surrogate import OwnConfig, fit_own
+from studies.own_surrogate import fit_own
 from studies.paths import ProjectPaths
 from studies.results.declaration import (
     CROSS_VALIDATED,
@@ -31,6 +31,7 @@ from studies.results.declaration import (
 )
 from studies.results.row_set import RowSet
 from studies.results.saved import read_arrays
+from studies.search_space import OwnConfig
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 # Before, ranks say next to nothing: at a tenth they correlate with the end by 0.37.

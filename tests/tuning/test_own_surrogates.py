@@ -12,8 +12,9 @@ import pytest
 from mlflow_store_for_tests import give_store
 
 from simulation.errors import InputError
-from studies.own_surrogate import OwnConfig, own_class
+from studies.own_surrogate import own_class
 from studies.profile import load_profile
+from studies.search_space import OwnConfig
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "own-surrogate.md").read_text("utf-8")
 PROFILE = re.findall(r"^```toml\n(.*?)^```", PAGE, re.M | re.S)[0]
