@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import hypothesis
 import mlflow_store_for_tests
 import pytest
 from _pytest import runner
@@ -37,6 +38,11 @@ runner._update_current_test_var = lambda item, when: None  # it says in the envi
 # Alembic runs the files of MLflow's 50 schema versions again for every new database, 0.3 s each time.
 _load, _load_once = pyfiles.load_module_py, functools.cache(pyfiles.load_module_py)
 pyfiles.load_module_py = lambda name, path: (_load if name == "env_py" else _load_once)(name, path)
+
+
+# No test depends on how busy the machine is.
+hypothesis.settings.register_profile("patient", deadline=None)
+hypothesis.settings.load_profile("patient")
 
 
 # No garbage is looked for among what the imports make; pytest_collection_finish ends this.

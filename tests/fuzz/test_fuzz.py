@@ -181,7 +181,6 @@ def test_no_file_of_a_stranger_does_harm(project: Path) -> None:
     @settings(
         max_examples=N_INPUTS,
         database=None,
-        deadline=None,
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
@@ -214,7 +213,7 @@ def drawn(number: int) -> list[tuple[str, bytes, bool]]:
     found = []
 
     @seed(number)
-    @settings(max_examples=12, database=None, deadline=None, phases=[Phase.generate])
+    @settings(max_examples=12, database=None, phases=[Phase.generate])
     @given(inputs())
     def keep(one: tuple[str, bytes, bool]) -> None:
         found.append(one)
