@@ -37,7 +37,7 @@ def test_another_case_file_of_the_name_is_refused_and_touches_nothing(
         answer = studies(command[0], str(other), *command[1:])
         assert answer.code == 2
         assert answer.err.count("\n") == 1
-        for said in (str(other), "fmus/wall/case.toml", 'name = "wall"', "mlruns/results/wall-quick"):
+        for said in (str(other), "fmus/wall/case.toml", 'the name "wall"', "mlruns/results/wall-quick"):
             assert said in answer.err
     assert results_in(project) == before
 
