@@ -68,9 +68,7 @@ def documented_row(row: Mapping[str, Any]) -> str:
     """Return a row of the table in docs/paper.md."""
     cells = [
         f"{count(row['n_train'])} ({row['seeds']})",
-        *(significant(row[key]) for key in ("test MAE", "MSE surrogate", "MSE screened")),
-        count(row["polish calls"]),
-        significant(row["final MSE"]),
+        *(significant(row[key]) for key in ("test MAE", "MSE surrogate", "MSE screened", "final MSE")),
         count(row["calls"]),
         *(calls_or_never(row[key]) for key in ("calls to 0.0121", "calls to the paper's final")),
         *(

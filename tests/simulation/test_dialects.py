@@ -191,7 +191,7 @@ def test_a_gap_is_named_by_its_timestamps(tmp_path: Path) -> None:
         f"{t:%Y-%m-%d %H:%M},{x:.6f}" for t, x in zip(STAMPS, MEASURED, strict=True)
     )
     file = DecayingCase(inputs="time,u\n" + "\n".join(rows) + "\n", measured=measured).write(tmp_path)
-    with pytest.raises(InputError, match=r"\(2024-02-29 00:00 to 2024-02-29 00:50\); fill the gap"):
+    with pytest.raises(InputError, match=r"from 2024-02-29 00:00 to 2024-02-29 00:50 \(3000 s\); fill"):
         load_case(file)
 
 
