@@ -90,7 +90,7 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     answer = studies(*arguments)
     assert answer.code == 0, answer.err
     assert "Converged: the target is reached" in answer.out
-    assert "minimum may be better" not in answer.out
+    assert "better minimum" not in answer.out
     stage = studies(*arguments, "--json").stage
     assert stage["mse"] <= 0.1
     assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4

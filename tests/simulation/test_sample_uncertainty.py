@@ -69,9 +69,15 @@ def test_a_share_of_the_value_comes_beside_the_sensors_uncertainty(tmp_path: Pat
     ("keys", "said"),
     [
         ("", "key uncertainty is missing; add it, or uncertainty_column"),
-        (f'{SURE}\nuncertainty_column = "sd"', "uncertainty_column says what uncertainty says; drop one"),
-        ('uncertainty_column = "sd"\nuncertainty_share = 0.1', "says what uncertainty_share says"),
-        (f'{SURE}\nuncertainty_share = 0.1\nnormalize = "range"', "normalize is in place of uncertainties"),
+        (
+            f'{SURE}\nuncertainty_column = "sd"',
+            "uncertainty_column and uncertainty both give the uncertainty",
+        ),
+        (
+            'uncertainty_column = "sd"\nuncertainty_share = 0.1',
+            "uncertainty_column and uncertainty_share both give",
+        ),
+        (f'{SURE}\nuncertainty_share = 0.1\nnormalize = "range"', "normalize replaces uncertainties"),
         ('uncertainty_column = "error"', "error"),
         ('uncertainty_column = "sd"', "measured.csv: line 7: sd is 0 beside a measured value; give an"),
     ],
