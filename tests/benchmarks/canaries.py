@@ -31,6 +31,8 @@ ALL: dict[str, tuple[str, ...]] = {
     "check": ("check", *TASK, "--again"),
     "sensitivity": ("sensitivity", *TASK, "--fmu"),
     "calibrate (paper)": ("calibrate", *TASK, "--method", "paper", "--n-train", "8", "--again"),
+    "profiles": ("uncertainty", *TASK, "--profiles"),
+    "next": ("next", *TASK),
     "status": ("status",),
     "write": ("best", "wall", "--write", "csv", "values.csv"),
     "reproduce": ("reproduce", f"{LABEL}/adaptive", "-q"),
