@@ -67,7 +67,8 @@ def _next_steps(task: Task, found: Calibration) -> Iterator[str]:
     if not found.converged and isinstance(most, int) and found.n_calls_paper >= most:
         yield f"go on with the search: studies calibrate {task.command} --max-calls {2 * most}"
     if judged is not None and judged.open:
-        yield "not all parameters are determined: fix some under [fixed], give priors, or measure more"
+        what = f": studies next {task.command}" if found.is_adaptive else ""
+        yield f"not all parameters are determined: fix some under [fixed], give priors, or measure more{what}"
     which = "" if found.is_adaptive else f" --n-train {found.n_train}"
     yield f"intervals of the parameters: studies uncertainty {task.command}{which}"
     if found.is_adaptive:
