@@ -36,9 +36,11 @@ class RunPlan:
     time_unit_s: float = 1.0
 
     @cached_property
-    def _read(self) -> tuple[Any, IntArray, int]:
+    def _read(self) -> tuple[Any, IntArray | None, int]:
+        """References of what is read, places of the outputs in it (None for all in order), and its length."""
         references, places, starts = with_arrays(self.outputs)
-        return references, places, len(starts)
+        is_all = np.array_equal(places, np.arange(len(starts)))
+        return references, None if is_all else places, len(starts)
 
     @property
     def output_references(self) -> Any:
@@ -47,10 +49,8 @@ class RunPlan:
 
     def outputs_of(self, y: FloatArray) -> FloatArray:
         """Return the outputs among all values that are read. Shapes (t, n_values) and (t, k)."""
-        _, places, n = self._read
-        # All elements in another order are not all in theirs.
-        is_all = n == len(places) and bool(np.all(np.diff(places) == 1))
-        return y if is_all else y[:, places]
+        places = self._read[1]
+        return y if places is None else y[:, places]
 
     @cached_property
     def edges(self) -> FloatArray:
