@@ -52,23 +52,14 @@ def outputs_as_means(file: CaseFile, fmu: FmuDescription, data: CaseData) -> tup
     """
     recordings, outputs = dict(data.recordings), list[OutputTable]()
     for table in file.outputs:
-        if table.source is not None and table.replicates is not None:
+        is_counted = table.sum_over_s is not None or table.starts_at is not None
+        if table.source is not None and (is_counted or table.replicates is not None):
             with errors_at(f"outputs[{table.name}]"):
                 name, recording = table.source[0], recordings[table.source[0]]
-                columns = _mean_of_replicates(table, recording)
-                recordings[name] = replace(recording, columns={**recording.columns, **columns})
-                mean, deviation = columns
-                change = {
-                    "column": mean,
-                    "replicates": None,
-                    "uncertainty": None,
-                    "uncertainty_column": deviation,
-                }
-                table = table.model_copy(update=change)
-        if table.source is not None and (table.sum_over_s is not None or table.starts_at is not None):
-            with errors_at(f"outputs[{table.name}]"):
-                name, recording = table.source[0], recordings[table.source[0]]
-                change, columns = _output_as_mean(table, fmu, recording)
+                if is_counted:
+                    change, columns = _output_as_mean(table, fmu, recording)
+                else:
+                    change, columns = _mean_of_replicates(table, recording)
                 recordings[name] = replace(recording, columns={**recording.columns, **columns})
                 table = table.model_copy(update=change)
         outputs.append(table)
@@ -132,8 +123,10 @@ def _output_as_mean(
     return change | {"uncertainty_column": uncertain}, {column: means, uncertain: own * scale}
 
 
-def _mean_of_replicates(table: OutputTable, recording: Recording) -> dict[str, FloatArray]:
-    """Return the mean of replicates, and its standard uncertainty. Shape (m,) each.
+def _mean_of_replicates(
+    table: OutputTable, recording: Recording
+) -> tuple[Mapping[str, Any], Mapping[str, FloatArray]]:
+    """Return the keys of an output that change, and the mean of its replicates as columns. Shape (m,) each.
 
     Where nothing is said of the uncertainty, all replicates count as equally sure: their deviation is pooled
     over all times, as few at one time say little of it.
@@ -154,7 +147,9 @@ def _mean_of_replicates(table: OutputTable, recording: Recording) -> dict[str, F
             )
         deviation = math.sqrt(squares / freedom)
     uncertain = np.where(n > 0, deviation / np.sqrt(np.maximum(n, 1)), np.nan)
-    return {table.source[1]: mean, f"{table.source[1]}, uncertainty": uncertain}
+    names = table.source[1], f"{table.source[1]}, uncertainty"
+    change = {"column": names[0], "replicates": None, "uncertainty": None, "uncertainty_column": names[1]}
+    return change, dict(zip(names, (mean, uncertain), strict=True))
 
 
 def _rate(
