@@ -12,6 +12,7 @@ from simulation.case import Case, load_case
 from simulation.case_parts import conversions
 from simulation.case_reading import read_experiments
 from simulation.errors import InputError
+from simulation.foreign_text import toml_text
 from simulation.layout import MARK
 from simulation.other_inputs import settings_with_inputs
 from simulation.time_unit import DAY_S
@@ -190,7 +191,8 @@ def _of_input(present: Offer, text: str, seed: int) -> Iterator[Offer]:
             at_edges[:, place] = np.concatenate([inputs[:1, place], inputs[:, place]])
         scenario = replace(case.scenario, inputs=inputs, inputs_at_edges=at_edges)
         label = re.sub(r"[^A-Za-z0-9_-]", "-", f"{name}-{kind}")
-        row = f'{{ name = "{name}", file = "{label}.csv", column = "{name}", interpolation = "held" }}'
+        named = toml_text(name)
+        row = f'{{ name = {named}, file = "{label}.csv", column = {named}, interpolation = "held" }}'
         yield replace(
             present, name=label, what=what, begins_anew=True, block=f"inputs = [{row}]",
             case=replace(case, scenario=scenario, settings=replace(case.settings, scenario=scenario)),
@@ -220,9 +222,8 @@ def _of_output(present: Offer, text: str) -> Offer:
     )
     measurement = replace(case.measurement, outputs=(measured,), time=time)
     other = replace(case, settings=settings, measurement=measurement)
-    block = (
-        f'# Add [[outputs]] with name = "{name}" and uncertainty = {uncertainty:g}, in the unit of the FMU.'
-    )
+    named = f"name = {toml_text(name)} and uncertainty = {uncertainty:g}"
+    block = f"# Add [[outputs]] with {named}, in the unit of the FMU."
     label = re.sub(r"[^A-Za-z0-9_-]", "-", name)
     none = np.zeros_like(present.is_own)
     return replace(present, name=label, what=f"{name} measured too", case=other, is_own=none, block=block)

@@ -1,5 +1,7 @@
 """The stage that ranks experiments by what they would show of the parameters."""
 
+import csv
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -115,7 +117,7 @@ def _planned(
     now = [one.T @ one for one in slopes]
     spread_now = [covariance(one, problem.prior) for one in now]
     width_now = np.mean([half_widths(one) for one in spread_now], axis=0)
-    found = list[tuple[Candidate, Offer]]()
+    found = list[tuple[Candidate, Offer, FloatArray | None]]()
     with task.console.bars() as bars:
         for done, offer in enumerate(offered):
             bars("candidates", done, len(offered))
@@ -137,19 +139,19 @@ def _planned(
                 merit=float(np.mean([merit(one, criterion) for one in after])),
                 determines=tuple(name for name, one in zip(space.names, news, strict=True) if one),
                 own=tuple(name for name, one in zip(space.names, is_own, strict=True) if one),
-                n_calls=its.n_calls, by_equations=its.n_calls == 0, excluded=its.excluded,
+                n_calls=its.n_calls, by_equations=its.solved is not None, excluded=its.excluded,
             )  # fmt: skip
-            found.append((candidate, offer))
+            found.append((candidate, offer, its.solved))
         bars("candidates", len(offered), len(offered))
     found.sort(key=lambda one: (bool(one[0].excluded), one[0].merit))
-    (best, offer), error, file = found[0], None, ""
+    (best, offer, solved), error, file = found[0], None, ""
     if not best.excluded:
-        if best.by_equations:
-            error, n_calls = _error(task, model, present, offer, space, points[0]), n_calls + 1
+        if solved is not None:
+            error, n_calls = _error(task, offer, space.from_unit(points[:1]), solved), n_calls + 1
         file = _write(task, best, offer, block)
     now_named = dict(zip(space.names, width_now.tolist(), strict=True))
     place = "" if best.excluded else task.paths.recorded(block)
-    every = tuple(one for one, _ in found)
+    every = tuple(one for one, *_ in found)
     return Planned(calibration.name, criterion, len(points), now_named, every, place, file, n_calls, error)
 
 
@@ -161,12 +163,14 @@ class _Slopes(NamedTuple):
         only_start: Parameters that act on the start alone, as far as equations say. Shape (p,).
         excluded: Why the candidate is not to be made.
         n_calls: Simulations that they took, none where equations gave them.
+        solved: The outputs at the first point by equations, None where they gave no slopes. Shape (t, k).
     """
 
     slopes: FloatArray
     only_start: BoolArray
     excluded: str
     n_calls: int
+    solved: FloatArray | None = None
 
 
 def _slopes(
@@ -181,7 +185,7 @@ def _slopes(
         if np.isfinite(slopes).all():
             only_start = np.zeros(p, dtype=np.bool_)
             only_start[offer.columns] = _acts_on_start_alone(equations, offer.case.parameter_space)
-            return _Slopes(slopes, only_start, _beyond_limits(offer.case, y), 0)
+            return _Slopes(slopes, only_start, _beyond_limits(offer.case, y), 0, y)
     q = offer.columns
     rows = difference_rows(points[0], STEP)[np.concatenate([[0], 1 + q, 1 + p + q])]
     with open_physical_model(task, case=offer.case) as physical:
@@ -264,18 +268,19 @@ def _beyond_limits(case: Case, y: FloatArray) -> str:
     return ""
 
 
-def _error(
-    task: Task, model: JudgedModel, present: Offer, offer: Offer, space: ParameterSpace, u: FloatArray
-) -> float | None:
-    """Return how far equations and one simulation of a candidate differ, over the sensor's uncertainty."""
-    equations = _equations_there(model, present, offer.case)
-    assert equations is not None, "they gave its slopes"
-    theta = np.ascontiguousarray(space.from_unit(u[None])[:, offer.columns])
+def _error(task: Task, offer: Offer, theta: FloatArray, solved: FloatArray) -> float | None:
+    """Return how far equations and one simulation of a candidate differ, over the sensor's uncertainty.
+
+    Args:
+        task: The study.
+        offer: The candidate.
+        theta: All parameters. Shape (1, p). [per parameter]
+        solved: What the equations give there. Shape (t, k). [per output]
+    """
     with open_physical_model(task, case=offer.case) as physical:
-        answer = physical.simulate(theta)
+        answer = physical.simulate(np.ascontiguousarray(theta[:, offer.columns]))
     if answer.failed[0]:
         return None
-    solved = _solved(equations, offer, space)(u[None])[0]
     return float(np.abs((solved - answer.y[0]) / offer.case.measurement.uncertainty).max())
 
 
@@ -298,9 +303,11 @@ def _write(task: Task, best: Candidate, offer: Offer, block: Path) -> str:
     place = ""
     if offer.course is not None:
         file = block.with_name(f"{best.name}.csv")
-        rows = "".join(f"{time:.10g},{value:.10g}\n" for time, value in offer.course[1].tolist())
+        rows = ([f"{time:.10g}", f"{value:.10g}"] for time, value in offer.course[1].tolist())
+        table = io.StringIO()
+        csv.writer(table, lineterminator="\n").writerows([("time_s", offer.course[0]), *rows])
         with whole_file(file) as stream:
-            stream.write(f"time_s,{offer.course[0]}\n{rows}".encode())
+            stream.write(table.getvalue().encode())
         place = task.paths.recorded(file)
         lines.append(f"# Copy {file.name} to the folder of the recordings.")
     with whole_file(block) as stream:
