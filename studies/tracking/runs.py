@@ -24,6 +24,7 @@ from simulation.write_gate import check_written
 from studies.paths import ProjectPaths, folder_name, opening
 from studies.results.declaration import ALIAS, UNEXPLAINED, Declaration
 from studies.results.provenance import FILE
+from studies.search_space import is_own
 from studies.tracking.foreign_store import SCHEME, check_store
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import (
@@ -356,7 +357,7 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
 
     unit, client = difference_unit(spec.output_unit), runs.client
     usual = "PCA + GP" if spec.surrogate == "pca-gp" else "PELS-VAE"
-    kind = "mean" if best.parts else spec.surrogate if ":" in spec.surrogate else usual
+    kind = "mean" if best.parts else spec.surrogate if is_own(spec.surrogate) else usual
     about = {"study": spec.name, "trial": str(best.number), "model": best.model}
     with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below

@@ -35,9 +35,17 @@ class LiveTrial(optuna.Trial):
 
     Attributes:
         seed: Seed of its random numbers: from it the same trial gives the same numbers.
+        enqueued: The hyperparameters that it was enqueued with.
     """
 
-    def __init__(self, trial: optuna.Trial, spec: StudyDeclaration, seed: int, begin: Begin) -> None:
+    def __init__(
+        self,
+        trial: optuna.Trial,
+        spec: StudyDeclaration,
+        seed: int,
+        begin: Begin,
+        enqueued: Mapping[str, Any],
+    ) -> None:
         """Take over a trial that Optuna has made: to make it again would draw again.
 
         Args:
@@ -45,9 +53,10 @@ class LiveTrial(optuna.Trial):
             spec: its study.
             seed: its seed.
             begin: opens its run, which shows settings.
+            enqueued: the hyperparameters that it was enqueued with.
         """
         vars(self).update(vars(trial))
-        self.seed = seed
+        self.seed, self.enqueued = seed, enqueued
         self.step = 0
         """The last one that something was written of."""
         self.stopped = ""

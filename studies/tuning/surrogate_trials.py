@@ -45,9 +45,8 @@ class SurrogateTrials:
     def __call__(self, trial: LiveTrial) -> float:
         """Train the surrogate of a trial and return the error that chooses. [output's unit]."""
         spec = self._spec
-        enqueued = attempts.enqueued(trial.study.get_trials(deepcopy=False)[trial.number])
         try:
-            check_point(spec.space, enqueued)
+            check_point(spec.space, trial.enqueued)
             params = suggested(trial, spec.space, spec.base_config)
             config = spec.config(params)
         except (TypeError, ValueError) as error:

@@ -121,7 +121,7 @@ class Worker:
         def begin(params: dict[str, Any]) -> TrialRun:
             return TrialRun(self._runs, spec, study_run, trial=trial.number, params=params, about=about)
 
-        live = LiveTrial(trial, spec, seed, begin)
+        live = LiveTrial(trial, spec, seed, begin, attempts.enqueued(trials[trial.number]))
         try:
             values = finite_values(self._objective(live), spec.value_names)
         except optuna.TrialPruned as pruned:
