@@ -131,10 +131,8 @@ def _output(
         series += limit_lines(measurement, k)
         if measurement.outputs[k].is_measured:
             samples, dots = measurement.outputs[k].samples, {"filled": True, "size": size}
-            when, beside = (
-                unit.of_seconds(samples.time),
-                next((one[:, k] for _, _, one in lines), np.zeros(len(time))),
-            )
+            when = unit.of_seconds(samples.time)
+            beside = next((one[:, k] for _, _, one in lines), np.zeros(len(time)))
             if not lines and bands[1] is not None:
                 beside = bands[1][:, :, k].mean(axis=0)
             series.append(Series("measured", MEASURED, when, samples.beside(time, beside), "point", dots))

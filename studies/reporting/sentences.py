@@ -399,13 +399,8 @@ def profile_sentences(found: Profiles) -> list[str]:
     said = []
     for name, one in found.parameters.items():
         if any(one.at_bound):
-            where = (
-                "both bounds"
-                if all(one.at_bound)
-                else "the upper bound"
-                if one.at_bound[1]
-                else "the lower bound"
-            )
+            side = "upper" if one.at_bound[1] else "lower"
+            where = "both bounds" if all(one.at_bound) else f"the {side} bound"
             ridge = f", while {listed(one.moves)} move with it" if one.moves else ""
             said.append(f"{name} fits up to {where}{ridge}.")
     who = "state equations" if found.by_equations else "a Gaussian process of the simulations"

@@ -85,7 +85,8 @@ def adaptive_stage(
         n_parallel=n_parallel,
         target_mse=target_mse,
     )
-    if not from_stored and not (from_stored is None and checked_file(task.paths, task.case).is_file()):
+    has_rows = checked_file(task.paths, task.case).is_file() if from_stored is None else from_stored
+    if not has_rows:
         _check_budget(settings, task.case.parameter_space.n_parameters, learns=learns)
     case = task.case
     inputs = {

@@ -14,7 +14,7 @@ CROSSING = 0.05
 
 
 def decay(u: FloatArray) -> FloatArray:
-    """Return an amplitude that decays; both are parameters, and the valley is bent."""
+    """Return an amplitude that decays; errors are low along a bent line of the two parameters."""
     return np.asarray((0.2 + 2.0 * u[:, :1]) * np.exp(-(0.1 + 3.0 * u[:, 1:]) * TIME))
 
 
